@@ -34,7 +34,7 @@ BEGIN = 3  # bytes before the fields
 FORMAT_TYPE = 128
 FORMAT = struct.Struct("<BB4s16s64s")
 PARAMETER, PARAMETER_FIELDS = "PARM", ("Name", "Value")
-PAGE = 256  # bytes; logs written in pages have garbage behind their end
+PAGE = 256  # bytes; logs written in pages end with one, within a message or with garbage behind the last
 BLOCK = 65536  # messages gathered at a time
 
 
@@ -97,7 +97,7 @@ class _Scan:
         self.formats: dict[int, _Format] = {}
         self.places: dict[int, defaultdict[int, Places]] = {}  # type -> instance -> places
         self._instance_at: dict[int, int] = {}  # type -> byte of a message that tells the instance
-        self.is_cut = False  # the log ends within a message
+        self.is_cut = False  # the log ends within a message, and not with a page
         self.skipped = self.gaps = self.left = self.wrong_formats = 0
         self._lengths = [0] * 256
         self._lengths[FORMAT_TYPE] = BEGIN + FORMAT.size
@@ -125,7 +125,7 @@ class _Scan:
             at = end = after
         self.left = size - end
         is_message = self.left >= BEGIN and data[end : end + len(HEAD)] == HEAD
-        self.is_cut = is_message and lengths[data[end + len(HEAD)]] > self.left
+        self.is_cut = size % PAGE > 0 and is_message and lengths[data[end + len(HEAD)]] > self.left
 
     def _is_followed(self, at: int, after: int, size: int) -> bool:
         """Whether a message is followed by another or the end, or has at least no other inside."""

@@ -26,7 +26,7 @@ from quadftc_replay.readers.contents import (
     is_text,
     name_content,
 )
-from quadftc_replay.readers.unpacking import PACKED, unpack
+from quadftc_replay.readers.unpacking import CUT, PACKED, unpack
 
 
 class LogChoice(NamedTuple):
@@ -49,7 +49,9 @@ class Source(NamedTuple):
 
     def finish(self, log: FlightLog, path: Path) -> FlightLog:
         """Name the log by the file it came in."""
-        return dataclasses.replace(log, path=path, notes=(*self.notes, *log.notes))
+        cut = next((note for note in self.notes if note.startswith(CUT)), "")
+        incomplete = log.incomplete or cut
+        return dataclasses.replace(log, path=path, notes=(*self.notes, *log.notes), incomplete=incomplete)
 
 
 class Reader(NamedTuple):

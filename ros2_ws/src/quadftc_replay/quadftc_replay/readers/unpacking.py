@@ -26,6 +26,7 @@ BLOCK = 1 << 16  # bytes unpacked at a time, so that damage costs no more of wha
 FREE, RATIO = 64 << 20, 100  # bytes that any log may have unpacked, and more of a packed byte
 LARGEST = 8 << 30  # bytes
 WINDOW = 1 << 27  # bytes that Zstandard may keep
+CUT = "cut or damaged"
 MOST_FILES = 1000  # of an archive that are looked at
 SHOWN = 10  # of them in one line
 DAMAGE = (
@@ -65,7 +66,7 @@ def unpack(path: Path, directory: Path, log: int, is_log: Callable[[bytes], bool
         if isinstance(error, BagError):
             raise
         raise BagError(f"{path}: cannot be unpacked: {_words(error)}") from None
-    cut = f"cut or damaged where it is packed: {problem}; read up to there" if problem else ""
+    cut = f"{CUT} where it is packed: {problem}; read up to there" if problem else ""
     return Unpacked(file, inner, tuple(filter(None, (said, cut))))
 
 
