@@ -69,10 +69,11 @@ class Reader(NamedTuple):
         return read(path, **({self.option: getattr(choice, self.option)} if self.option else {}))
 
 
+ULOG = Reader("PX4 ULog", begins(b"ULog\x01\x12\x35"), "ulog", 0.1)
 READERS = (
     Reader("ROS 2 bag", begins(b"\x89MCAP0\r\n", b"SQLite format 3\0"), "rosbag", 0.1),
     Reader("ROS 1 bag", begins(ROS1_MAGIC), "rosbag", 0.3),
-    Reader("PX4 ULog", begins(b"ULog\x01\x12\x35"), "ulog", 0.1),
+    ULOG,
     Reader("ArduPilot BIN", begins(b"\xa3\x95"), "ardupilot", 0.1),
     Reader("ArduPilot .log", is_dataflash_text, "ardupilot_text", 0.1),
     Reader("MAVLink tlog", is_mavlink, "telemetry", 0.1, "system"),
@@ -130,4 +131,9 @@ def unpacked(path: Path, choice: LogChoice) -> Generator[Source, None, None]:
 def read_log(path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
     """Read a log of any format; a BagError of one line says why it cannot be read."""
     with unpacked(path, choice) as source:
-        return source.finish(find_reader(source.file, source.choice).read(source.file, source.choice), path)
+        return source.finish(read_unpacked(source.file, source.choice), path)
+
+
+def read_unpacked(path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
+    """Read a log that is not packed."""
+    return find_reader(path, choice).read(path, choice)

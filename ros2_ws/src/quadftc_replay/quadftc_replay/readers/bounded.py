@@ -1,9 +1,10 @@
 """A reader in a process of its own, whose processor time, memory and output are in proportion to the file.
 
-    python -m quadftc_replay.readers.bounded SECONDS SIZE LOG RESULT [--log=N] [--system=N] [--mapping=FILE]
+    python -m quadftc_replay.readers.bounded SECONDS SIZE RESULT
 
-Libraries that decode what comes from outside may loop, fill the memory or crash on a damaged file; then this
-process ends, and says on standard output what is wrong. What it read is pickled into RESULT.
+reads a pickled function and its arguments from standard input, calls it, and pickles what it returns into
+RESULT. Libraries that decode what comes from outside may loop, fill the memory or crash on a damaged file;
+then this process ends, and says on standard output what is wrong.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 from quadftc_bags.bag import BagError
 from quadftc_replay.flight_log import FlightLog
-from quadftc_replay.readers import ONLY_ONE, LogChoice, Reader, find_reader, unpacked
+from quadftc_replay.readers import ONLY_ONE, LogChoice, Reader, find_reader, read_unpacked, unpacked
 
+Read = TypeVar("Read")
 BAD_INPUT, NO_MEMORY = 2, 3  # exit codes
 MEGABYTE = 1e6  # bytes
 START, MARGIN = 10, 10  # s of processor time for any log, and how many times what its format takes
@@ -34,23 +38,32 @@ SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONSAFEPATH
 
 def read_bounded(path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
     """Read a log of any format as `read_log` does; a BagError says as well which limit was passed."""
-    with unpacked(path, choice) as source, tempfile.NamedTemporaryFile(prefix="quadftc-") as result:
+    with unpacked(path, choice) as source:
         reader = find_reader(source.file, source.choice)
-        _run(reader, source.file, source.choice, Path(result.name))
-        log: FlightLog = pickle.load(result)  # written by this very package
-        return source.finish(log, path)
+        return source.finish(call_bounded(reader, read_unpacked, source.file, source.choice), path)
 
 
-def _run(reader: Reader, path: Path, choice: LogChoice, result: Path) -> None:
+def call_bounded(reader: Reader, read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
+    """Call ``read(path, *arguments)``, a function of a module, in a process with the limits of a reader."""
+    with tempfile.NamedTemporaryFile(prefix="quadftc-") as result:
+        _run(reader, path, pickle.dumps((read, (path, *arguments))), result.name)
+        return pickle.load(result)  # written by this very package
+
+
+def _run(reader: Reader, path: Path, call: bytes, result: str) -> None:
     """Run the process; BagError if it could not read the log."""
     size = _size(path)
     seconds = processor_time(reader, size)
-    options = [f"--{name}={value}" for name, value in choice._asdict().items() if value]
-    command = [sys.executable, "-m", __name__, str(seconds), str(size), str(path), str(result), *options]
+    command = [sys.executable, "-m", __name__, str(seconds), str(size), result]
     what = f"{path}: the reader of a {reader.name} log"
     try:
         done = subprocess.run(
-            command, env=os.environ | SETTINGS, capture_output=True, check=False, timeout=PATIENCE * seconds
+            command,
+            env=os.environ | SETTINGS,
+            input=call,
+            capture_output=True,
+            check=False,
+            timeout=PATIENCE * seconds,
         )
     except subprocess.TimeoutExpired:
         raise BagError(f"{what} was stopped: more than {PATIENCE * seconds} s") from None
@@ -59,7 +72,7 @@ def _run(reader: Reader, path: Path, choice: LogChoice, result: Path) -> None:
     share = f"for {size / MEGABYTE:.3g} MB"
     if done.returncode == NO_MEMORY:
         raise BagError(f"{what} was stopped: more than {memory(size) >> 20} MiB of memory {share}")
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+    if done.returncode == -signal.SIGXCPU:
         raise BagError(f"{what} was stopped: more than {seconds} s of processor time {share}")
     if done.returncode < 0:
         raise BagError(f"{what} crashed ({signal.Signals(-done.returncode).name})")
@@ -94,21 +107,18 @@ def limit_resources(seconds: int, size: int) -> None:
     ):
         hard = resource.getrlimit(what)[1]
         bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(what, (bound, bound))
+        resource.setrlimit(what, (bound, hard))
 
 
 def main(arguments: list[str]) -> int:
-    """Read the log of the command line."""
-    seconds, size, path, result = int(arguments[0]), int(arguments[1]), Path(arguments[2]), Path(arguments[3])
-    asked = dict(each.removeprefix("--").split("=", 1) for each in arguments[4:])
-    mapping = Path(asked["mapping"]) if "mapping" in asked else None
-    choice = LogChoice(int(asked.get("log", 0)), int(asked.get("system", 0)), mapping)
+    """Call the function from standard input with the limits of the command line."""
+    seconds, size, result = int(arguments[0]), int(arguments[1]), Path(arguments[2])
     try:
-        reader = find_reader(path, choice)
+        read, given = pickle.load(sys.stdin.buffer)
         limit_resources(seconds, size)
-        log = reader.read(path, choice)
+        value = read(*given)
         with result.open("wb") as stream:
-            pickle.dump(log, stream, pickle.HIGHEST_PROTOCOL)
+            pickle.dump(value, stream, pickle.HIGHEST_PROTOCOL)
     except MemoryError:
         return NO_MEMORY
     except (BagError, OSError) as error:

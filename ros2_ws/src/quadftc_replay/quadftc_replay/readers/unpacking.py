@@ -48,7 +48,7 @@ def unpack(path: Path, directory: Path, log: int, is_log: Callable[[bytes], bool
 
     ``log`` is one of several logs. BagError if there is none, more than one to choose from, or too much.
     """
-    file, inner, said = directory / "log", log, ""
+    file, inner, said = directory / path.name, log, ""
     try:
         with path.open("rb") as stream:
             head = stream.read(len(ZIP))
