@@ -1,0 +1,224 @@
+r"""Which mode, since when, by how much: separate-bias filters behind one filter of the motion.
+
+Let the truth differ from what the filter believes by U b, with b = (size, slope) of a mode that began at an
+onset. The innovations e, of variance V, then have the mean S b. Friedland (1969), Willsky and Jones (1976):
+
+    U <- F U + G,   S = H U + h,   U <- U - K S,   J += S' S / V,   d += S' e / V
+
+With b ~ N(0, P0) the evidence for the mode, against none, is marginal in size and slope (Gustafsson 1996):
+
+    l = d' (J + 1/P0)^-1 d / 2 - ln det(I + P0 J) / 2
+
+Onsets have slots, in three rings. A ring takes an onset every `SPACING`; of its slots the least likely goes,
+and the oldest where nothing is likely. So a hypothesis "since 40 ms" has never used the samples since.
+
+Models are wrong. How much noisier gyro and attitude are to these tests than the filter believes is learned,
+by axis and ring, where they are believed: the `temper`, by which J and d are divided. It counts for all modes
+alike, so it doubts a channel, not a hypothesis.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from quadftc_fdi.bank.modes import AXIS, MODES, PRIOR, PUSH, RATE, pattern
+from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, STATES, THETA, D, Gains
+from quadftc_fdi.bank.noise import MEMORY
+from quadftc_model.arrays import (
+    Array,
+    Mask,
+    Scalar,
+    Vector,
+    column,
+    exp,
+    larger,
+    log,
+    namespace,
+    smaller,
+    where,
+)
+
+SPACING, SLOTS = (
+    (0.004, 0.04, 0.25),
+    (9, 12, 11),
+)  # s, 1; how often a ring takes an onset, and how many it has
+RING = np.repeat(np.arange(3), SLOTS)
+FIRST = np.cumsum((0, *SLOTS))
+OF_GYRO, OF_ATTITUDE = range(2)  # channels
+TESTS = (slice(3, 6), slice(0, 3))  # modes that test a channel: of the gyro, of the attitude
+DOUBT, SETTLE, CLIP = (
+    1.5,
+    1.0,
+    3.0,
+)  # 1, s, 1; temper at the start; what that is worth; bound of what is learned
+NEVER, LOWEST = -1.0, -1e9  # s; age of a slot without an onset, and its log weight
+USUAL = (
+    np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
+)  # log of the prior: rate times what a slot covers
+SMALL = 1e-12  # 1; of a determinant over its product, lost to rounding
+
+
+class Bank(NamedTuple):
+    """Hypotheses (..., modes, slots); U has states, axes and two columns, size and slope, before these."""
+
+    U: Array  # (..., 8, 3, 2, modes, slots)
+    J: Array  # of both channels (..., 2, 3, modes, slots): size by size, size by slope, slope by slope
+    d: Array  # (..., 2, 2, modes, slots)
+    age: Array  # of onsets (..., modes, slots) [s]
+    since: Array  # since each ring took an onset (..., 3) [s]
+    temper: Array  # of both channels (..., 2, axes, rings)
+    learned: Array  # how long that was learned (..., 2, axes, rings) [s]
+
+
+class Posterior(NamedTuple):
+    """What the bank believes of each hypothesis."""
+
+    log_weight: Array  # against none (..., modes, slots)
+    b: Array  # size and slope (..., 2, modes, slots)
+    covariance: Array  # size by size, size by slope, slope by slope (..., 3, modes, slots)
+
+
+def start_bank(like: Vector) -> Bank:
+    """Start without an onset."""
+    xp, batch = namespace(like), like.shape[:-1]
+    modes = (MODES, len(RING))
+    J, temper = xp.zeros((*batch, 2, 3, *modes)), xp.zeros((*batch, 2, 3, len(SLOTS)))
+    U, age = xp.zeros((*batch, STATES, 3, 2, *modes)), xp.zeros((*batch, *modes)) + NEVER
+    return Bank(U, J, J[..., :2, :, :], age, xp.zeros_like(like), temper + DOUBT, temper)
+
+
+def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
+    """Advance U by ``dt`` [s]; a rate [rad/s] turns the body axes in which angles are told."""
+    step = column(column(column(column(dt))))
+    rows = [state.U[..., k, :, :, :, :] for k in range(STATES)]
+    by = -rows[BETA] if repeats_gyro else rows[OMEGA] + 0.5 * step * rows[D]
+    rows[THETA] = rows[THETA] + step * (by - _cross(rate, rows[THETA]))
+    rows[OMEGA] = rows[OMEGA] + step * rows[D]
+    rows[D] = exp(-step / CORRELATED) * rows[D]
+    return state._replace(U=namespace(state.U).stack(rows, axis=-5))
+
+
+def _cross(rate: Vector, theta: Array) -> Array:
+    """Cross product of a rate (..., 3) and vectors (..., 3, 2, modes, slots)."""
+    p, q, r = (rate[..., k, None, None, None] for k in range(3))
+    x, y, z = (theta[..., k, :, :, :] for k in range(3))
+    return namespace(theta).stack([q * z - r * y, r * x - p * z, p * y - q * x], axis=-4)
+
+
+def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
+    """Begin onsets at this sample in rings that are due.
+
+    ``worth`` (..., slots) is the log weight of the likeliest mode of each slot.
+    """
+    xp = namespace(state.age)
+    since = state.since + column(dt)
+    due = since >= np.array(SPACING) - 1e-6
+    age = where(state.age >= 0.0, state.age + column(column(dt)), NEVER)
+    oldest = age.max(axis=-2)
+    keep = where(oldest >= 0.0, larger(worth, 0.0) - 1e-3 * oldest, LOWEST)
+    new: list[Array] = []
+    for ring in range(len(SLOTS)):
+        row = keep[..., FIRST[ring] : FIRST[ring + 1]]
+        least = row == row.min(axis=-1, keepdims=True)
+        new.append(least & (xp.cumsum(1.0 * least, axis=-1) < 1.5) & due[..., ring : ring + 1])
+    fresh = xp.concatenate(new, axis=-1)[..., None, :]
+    jump = np.zeros((STATES, 3, 2, MODES, 1))
+    jump[D, :, 0, :, 0] = pattern(PUSH)
+    return state._replace(
+        U=where(fresh[..., None, None, None, :, :], jump, state.U),
+        J=where(fresh[..., None, None, :, :], 0.0, state.J),
+        d=where(fresh[..., None, None, :, :], 0.0, state.d),
+        age=where(fresh, 0.0, age),
+        since=where(due, 0.0, since),
+    )
+
+
+def shape_of(state: Bank) -> Array:
+    """What a size and a slope of 1 add by now (..., 2, modes, slots)."""
+    began = state.age >= 0.0
+    return namespace(state.age).stack([where(began, 1.0, 0.0), where(began, state.age, 0.0)], axis=-3)
+
+
+def of_attitude(state: Bank, rate: Vector, added: Array) -> Array:
+    """S of the attitude (..., 3, 2, modes, slots).
+
+    ``added`` (..., 3, modes) is what a fault of 1 rad adds to its rotation vector.
+    """
+    late = rate[..., :, None, None, None] * state.U[..., LAG, :, :, :, :]
+    by_fault = added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
+    return state.U[..., THETA, :, :, :, :] - late + by_fault
+
+
+def of_gyro(state: Bank, rate: Vector, added: Array) -> Array:
+    """S of the gyro (..., 3, 2, modes, slots); ``added`` (..., 3, modes) is what a fault of 1 rad/s adds."""
+    by_scale = sum(
+        rate[..., k, None, None, None, None] * state.U[..., SCALE.start + k, :, :, :, :] for k in range(3)
+    )
+    by_motion = state.U[..., OMEGA, :, :, :, :] + state.U[..., BETA, :, :, :, :] + by_scale
+    return by_motion + added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
+
+
+def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
+    """Take a measurement of a channel: its innovations, and what the hypotheses expect of them."""
+    xp = namespace(S)
+    weight = where(seen.used, 1.0 / seen.variance, 0.0)
+    w, e = weight[..., None, None], (weight * seen.innovation)[..., None, None, None]
+    one, two = S[..., 0, :, :], S[..., 1, :, :]  # (..., 3, modes, slots)
+    J = xp.stack([(w * one * one).sum(-3), (w * one * two).sum(-3), (w * two * two).sum(-3)], axis=-3)
+    gain = seen.gain.swapaxes(-1, -2)[..., None, None, None]  # (..., 8, 3, 1, 1, 1)
+    own = np.eye(2)[channel][:, None, None, None]
+    return state._replace(
+        U=state.U - gain * S[..., None, :, :, :, :],
+        J=state.J + own * J[..., None, :, :, :],
+        d=state.d + own * (e * S).sum(-4)[..., None, :, :, :],
+    )
+
+
+def believe(state: Bank) -> Posterior:
+    """Return the posterior of size and slope, and the weight of mode and onset."""
+    share = 1.0 / state.temper[..., AXIS, :][..., RING]  # (..., 2, modes, slots)
+    J, d = ((part * share[..., None, :, :]).sum(axis=-4) for part in (state.J, state.d))
+    evidence, b, covariance = _solved(J, d, PRIOR)
+    return Posterior(where(state.age >= 0.0, evidence + USUAL, LOWEST), b, covariance)
+
+
+def _solved(J: Array, d: Array, prior: Array) -> tuple[Array, Array, Array]:
+    """Return l, the mean of b (..., 2, modes, slots) and its covariance (..., 3, modes, slots)."""
+    xp = namespace(J)
+    size, slope = prior[:, 0, None], prior[:, 1, None]
+    A, c, F = J[..., 0, :, :] + 1.0 / size, J[..., 1, :, :], J[..., 2, :, :] + 1.0 / slope
+    det = larger(A * F - c * c, SMALL * A * F)
+    d0, d1 = d[..., 0, :, :], d[..., 1, :, :]
+    b0, b1 = (F * d0 - c * d1) / det, (A * d1 - c * d0) / det
+    evidence = 0.5 * (d0 * b0 + d1 * b1) - 0.5 * log(det * size * slope)
+    return evidence, xp.stack([b0, b1], axis=-3), xp.stack([F / det, -c / det, A / det], axis=-3)
+
+
+def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
+    """Learn how noisy the channels are to the tests, where they are ``believed`` (..., 2, axes)."""
+    xp = namespace(state.age)
+    rings = 1.0 * np.equal(RING[:, None], np.arange(len(SLOTS)))  # (slots, rings)
+    found: list[Array] = []
+    expected: list[Array] = []
+    for channel, modes in enumerate(TESTS):
+        J, d = state.J[..., channel, :, modes, :], state.d[..., channel, :, modes, :]
+        _, b, covariance = _solved(J, d, PRIOR[modes])
+        began = 1.0 * (state.age[..., modes, :] >= 0.0)
+        found.append((began * (d * b).sum(axis=-3)) @ rings)
+        usual = (covariance * J * np.array([1.0, 2.0, 1.0])[:, None, None]).sum(axis=-3)
+        expected.append((began * usual) @ rings)
+    square, usual = xp.stack(found, axis=-3), xp.stack(expected, axis=-3)  # (..., 2, axes, rings)
+    step = column(column(column(dt)))
+    enough = believed[..., None] & (usual > 0.5)
+    time = smaller(state.learned + step * enough, MEMORY)
+    ratio = smaller(square / larger(usual, 0.5), CLIP * state.temper)
+    news = step * enough / (SETTLE + time) * (ratio - state.temper)
+    return state._replace(temper=larger(state.temper + news, 1.0), learned=time)
+
+
+def forget(state: Bank, axes: Mask) -> Bank:
+    """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise."""
+    gone = axes[..., AXIS][..., None]
+    return state._replace(age=where(gone, NEVER, state.age))

@@ -1,0 +1,45 @@
+"""What can fail, and what else happens: one table, a row for each kind, three modes a row, one an axis.
+
+A mode adds b + s t to a reading, t after its onset, or b to the unknown acceleration at its onset. What is
+known of size b and slope s beforehand is normal about zero.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+ATTITUDE, GYRO, PUSH = range(3)  # what a mode changes, and the row of its kind
+
+
+class Kind(NamedTuple):
+    """A kind of fault, or of what is none."""
+
+    component: str
+    is_fault: bool
+    size: float  # standard deviation of b [rad, rad/s, rad/s²]
+    slope: float  # of s, per second; of a push it is not used
+    rate: float  # per flight hour and axis
+
+
+# Sizes, slopes and rates are chosen: what one would bet on before a flight. An attitude sensor seldom creeps.
+# The slope of the attitude decides who is blamed for a slow discrepancy. A push may be a gust front as well.
+KINDS = (
+    Kind("attitude", True, math.radians(5.0), 0.03, 0.1),
+    Kind("gyro", True, 0.3, 0.3, 0.1),
+    Kind("push", False, 10.0, 1e-3, 100.0),
+)
+MODES = 3 * len(KINDS)
+AXIS = np.tile(np.arange(3), len(KINDS))
+KIND = np.repeat(np.arange(len(KINDS)), 3)
+PRIOR = np.array([[kind.size, kind.slope] for kind in KINDS])[KIND] ** 2  # (modes, 2) variances
+RATE = np.array([kind.rate for kind in KINDS])[KIND] / 3600.0  # (modes,) per second
+IS_FAULT = np.array([kind.is_fault for kind in KINDS])[KIND]
+
+
+def pattern(kind: int) -> NDArray[np.float64]:
+    """Return which body axes (3, modes) the modes of a kind change; zeros for all others."""
+    return 1.0 * ((np.arange(3)[:, None] == AXIS) & (kind == KIND))

@@ -1,0 +1,182 @@
+"""The motion of a healthy vehicle: one Kalman filter, whose innovations all hypotheses share.
+
+Each body axis has eight states:
+
+| state | moves as | of |
+|---|---|---|
+| angle theta | theta' = omega + w | the attitude, which itself is a quaternion: a small error |
+| bias beta | beta' = w | the gyro |
+| rate omega | omega' = u / J + d | the body |
+| acceleration d | d' = -d / T + w | what no model knows |
+| k_x, k_y, k_z | k' = 0 | scale and alignment of the gyro |
+| lag tau | tau' = 0 | the measured attitude |
+
+and two measurements, with white noise n: gyro = omega + beta + k omega + n, attitude = theta - tau omega + n.
+An attitude that an estimator makes of the same gyro repeats the gyro's errors: there theta' = gyro - beta +
+w, and w holds what the estimator corrects. Axes are coupled in the mean alone, not in the covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from quadftc_fdi.bank.noise import Noise
+from quadftc_model.arrays import (
+    Array,
+    Flag,
+    Mask,
+    Quaternion,
+    Scalar,
+    Vector,
+    column,
+    exp,
+    larger,
+    namespace,
+    norm,
+    smaller,
+    stacked,
+    where,
+)
+from quadftc_model.rotations import rotation_between, turn
+
+THETA, BETA, OMEGA, D, SCALE, LAG, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8
+CORRELATED = 1.0  # s; T
+WALK = math.radians(0.05)  # rad/s/sqrt(s); of the gyro's bias
+BIAS, SCALES, LAGS = math.radians(2.0), 0.01, 0.01  # rad/s, 1, s; what MEMS gyros and attitudes start with
+SMEAR, JITTER = 0.005, 0.001  # 1, s; errors of an attitude over the rate: one wanders over 1 s, one is white
+LOUD = 40.0  # 1; square of an innovation over its variance, at most: noise has tails
+PATIENT, LOUDER, MOST = (
+    3.0,
+    math.log(4.0),
+    12.0,
+)  # 1; after so many loud readings in a row, fourfold with each
+SMALL = 1e-12  # rad², rad²/s²; of rounding
+UNDRIVEN = 100.0  # rad/s²; acceleration where no torque is known
+
+
+class Motion(NamedTuple):
+    """Estimated motion; the covariance is that of each body axis by itself."""
+
+    q_xyzw: Quaternion
+    bias: Vector  # [rad/s]
+    rate: Vector  # [rad/s]
+    unknown: Vector  # acceleration d [rad/s²]
+    scale: Array  # (..., 3, 3) of the gyro, by reading and rate
+    lag: Vector  # [s]
+    loud: Array  # readings in a row of gyro, attitude that were louder than that (..., 2, 3)
+    covariance: Array  # (..., 3, 8, 8)
+
+
+class Gains(NamedTuple):
+    """What a filter makes of a measurement."""
+
+    innovation: Vector
+    variance: Vector  # of the innovation
+    gain: Array  # (..., 3, 8); zeros where it is not used
+    used: Mask
+
+
+def start_motion(q_xyzw: Quaternion, gyro: Vector, noise: Noise) -> Motion:
+    """Start at a sample, as attitude and gyro say."""
+    xp = namespace(gyro)
+    zeros = xp.zeros_like(gyro)
+    sensor = [zeros + SCALES**2] * 3 + [zeros + LAGS**2]
+    start = stacked([noise.attitude, zeros + BIAS**2, noise.gyro + BIAS**2, noise.unknown, *sensor])
+    P = start[..., None] * xp.eye(STATES)
+    silent = xp.stack([zeros, zeros], axis=-2)
+    return Motion(q_xyzw, zeros, gyro, zeros, xp.zeros((*gyro.shape, 3)), zeros, silent, P)
+
+
+def predict(
+    state: Motion,
+    known: Vector,
+    driven: Flag,
+    gyro: Vector,
+    walk: Vector,
+    noise: Noise,
+    repeats_gyro: bool,
+    dt: Scalar,
+) -> Motion:
+    """Advance by ``dt`` [s] with a known acceleration [rad/s²], if ``driven``.
+
+    ``gyro`` is the mean reading since, whose bias walks by ``walk`` [rad/s/sqrt(s)].
+    """
+    step, zeros = column(dt), namespace(state.rate).zeros_like(state.rate)
+    keep = exp(-step / CORRELATED)
+    rate = state.rate + (known + state.unknown) * step
+    turning = gyro - state.bias if repeats_gyro else 0.5 * (state.rate + rate)
+    drive = noise.unknown * (1.0 - keep**2)
+    loose = where(column(driven), 0.0, (UNDRIVEN * step) ** 2)
+    wander = (noise.wander + (SMEAR * norm(state.rate)) ** 2) * step
+    Q = stacked([wander, walk**2 * step, drive * step**2 / 3.0 + loose, drive, *[zeros] * 4])
+    P = _moved(_moved(state.covariance, repeats_gyro, dt).swapaxes(-1, -2), repeats_gyro, dt)
+    return state._replace(
+        q_xyzw=turn(state.q_xyzw, turning * step),
+        rate=rate,
+        unknown=keep * state.unknown,
+        covariance=P + Q[..., None] * namespace(P).eye(STATES),
+    )
+
+
+def _moved(P: Array, repeats_gyro: bool, dt: Scalar) -> Array:
+    """Rows of F P (..., 3, 8, 8) over ``dt`` [s]."""
+    step = column(column(dt))
+    rows = [P[..., k, :] for k in range(STATES)]
+    by = -rows[BETA] if repeats_gyro else rows[OMEGA] + 0.5 * step * rows[D]
+    rows[THETA] = rows[THETA] + step * by
+    rows[OMEGA] = rows[OMEGA] + step * rows[D]
+    rows[D] = exp(-step / CORRELATED) * rows[D]
+    return namespace(P).stack(rows, axis=-2)
+
+
+def take_gyro(state: Motion, gyro: Vector, noise: Vector, used: Mask) -> tuple[Motion, Gains]:
+    """Correct the motion by a reading of the gyro [rad/s] whose noise has a variance."""
+    P, rate = state.covariance, state.rate[..., None, :]
+    across = P[..., BETA, :] + P[..., OMEGA, :] + (P[..., SCALE, :] * rate[..., None]).sum(axis=-2)  # P H'
+    own = across[..., BETA] + across[..., OMEGA] + (across[..., SCALE] * rate).sum(axis=-1)
+    return _correct(state, 0, gyro_error(state, gyro), across, own + noise, used)
+
+
+def gyro_error(state: Motion, gyro: Vector) -> Vector:
+    """What a gyro reads too much [rad/s], by the motion."""
+    return gyro - state.rate - state.bias - (state.scale * state.rate[..., None, :]).sum(axis=-1)
+
+
+def take_attitude(state: Motion, q_xyzw: Quaternion, noise: Vector, used: Mask) -> tuple[Motion, Gains]:
+    """Correct the motion by a measured attitude whose noise has a variance [rad²]."""
+    innovation = rotation_between(state.q_xyzw, q_xyzw) + state.lag * state.rate
+    across = state.covariance[..., THETA, :] - state.covariance[..., LAG, :] * column(state.rate)
+    own = across[..., THETA] - across[..., LAG] * state.rate
+    noise = noise + (JITTER * norm(state.rate)) ** 2
+    return _correct(state, 1, innovation, across, own + noise, used)
+
+
+def _correct(
+    state: Motion, sensor: int, innovation: Vector, across: Array, variance: Vector, used: Mask
+) -> tuple[Motion, Gains]:
+    loud = state.loud[..., sensor, :]
+    bound = innovation * innovation / (LOUD * exp(LOUDER * larger(loud - PATIENT, 0.0)))
+    variance = larger(variance, SMALL)
+    louder = where(bound > variance, smaller(loud + 1.0, MOST), larger(loud - 1.0, 0.0))
+    own = np.eye(2)[sensor][:, None] * column(used).swapaxes(-1, -2)
+    variance = larger(variance, bound)
+    gain = where(column(used), across / column(variance), 0.0)
+    moved = moved_by(state, gain * column(innovation))
+    P = state.covariance - gain[..., :, None] * across[..., None, :]
+    heard = state.loud + own * (louder - loud)[..., None, :]
+    return moved._replace(covariance=P, loud=heard), Gains(innovation, variance, gain, used)
+
+
+def moved_by(state: Motion, change: Array) -> Motion:
+    """Add a change (..., 3, 8) of the states."""
+    return state._replace(
+        q_xyzw=turn(state.q_xyzw, change[..., THETA]),
+        bias=state.bias + change[..., BETA],
+        rate=state.rate + change[..., OMEGA],
+        unknown=state.unknown + change[..., D],
+        scale=state.scale + change[..., SCALE],
+        lag=state.lag + change[..., LAG],
+    )

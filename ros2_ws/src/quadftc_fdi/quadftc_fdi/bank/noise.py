@@ -1,0 +1,157 @@
+r"""Noise, learned: what is white, and what lasts, by how readings move apart.
+
+A reading less what the other sensor or the model says moves by y over a lag. White noise of variance R gives
+y a variance of 2 R, and a variance of 6 R to its change from sample to sample. Over a longer lag an unknown
+acceleration of variance D adds D lag², a wandering error W lag:
+
+    gyro against torque:     var y = 2 R + D lag²
+    attitude against gyro:   var y = 2 R + W lag
+
+A steady drift is taken off: a trim, a bias. Squares are clipped, so a fault that has not been found yet
+teaches little; news count twice, so that what was learned at first is soon outweighed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from quadftc_model.arrays import (
+    Flag,
+    Mask,
+    Quaternion,
+    Scalar,
+    Vector,
+    column,
+    larger,
+    namespace,
+    smaller,
+    sqrt,
+    where,
+)
+from quadftc_model.rotations import rotation_between, turn
+
+LONG, LONGER = 0.04, 0.2  # s; the longer lag of gyro and attitude: some samples, below the motion's period
+MEMORY = 20.0  # s; of what is learned
+PRIOR = 0.25  # s; what the values at the start are worth
+NEWS = 2.0  # 1; what news count more than in a mean
+LOOSE, TIGHT = 100.0, 9.0  # 1; bounds of squares over their mean, of the gyro and of the attitude
+GYRO, UNKNOWN, ATTITUDE = 0.005, 1.0, math.radians(0.1)  # rad/s, rad/s², rad; at the start
+LEAST_GYRO, LEAST_UNKNOWN = 1e-4, 0.1  # rad/s, rad/s²
+LEAST_ATTITUDE, LEAST_WANDER = math.radians(0.05), math.radians(0.05)  # rad, rad/sqrt(s); of any sensor
+
+
+class Noise(NamedTuple):
+    """Variances of noise, axis by axis."""
+
+    gyro: Vector  # white, of a reading [rad²/s²]
+    unknown: Vector  # of the unknown acceleration [rad²/s⁴]
+    attitude: Vector  # white, of a reading [rad²]
+    wander: Vector  # of attitude against gyro [rad²/s]
+
+
+class Variogram(NamedTuple):
+    """Mean squares of how far readings move apart."""
+
+    near: Vector  # from sample to sample; of the gyro the change of that
+    far: Vector  # over the longer lag
+    lag: Vector  # mean of those lags; of the gyro squared [s, s²]
+    time: Vector  # of learning [s]
+    drift: Vector  # how fast they move apart in the mean [1/s]
+
+
+class Learning(NamedTuple):
+    """Variograms, and where their longer lags begin."""
+
+    gyro: Variogram
+    attitude: Variogram
+    moved: Vector  # of the gyro against torque, at the last sample [rad/s]
+    rate: Vector  # reading of the gyro at its anchor [rad/s]
+    turned: Vector  # by torque since [rad/s]
+    age: Scalar  # of that anchor [s]
+    q_xyzw: Quaternion  # attitude at its anchor, turned with the gyro since
+    older: Scalar  # age of that anchor [s]
+
+
+def start_learning(q_xyzw: Quaternion, gyro: Vector) -> Learning:
+    """Start at a sample."""
+    zeros = namespace(gyro).zeros_like(gyro)
+    white, still, lag = zeros + GYRO**2, zeros + ATTITUDE**2, zeros + LONG**2
+    by_torque = Variogram(6.0 * white, 2.0 * white + UNKNOWN**2 * lag, lag, zeros, zeros)
+    by_gyro = Variogram(2.0 * still, 2.0 * still, zeros + LONGER, zeros, zeros)
+    return Learning(by_torque, by_gyro, zeros, gyro, zeros, zeros[..., 0], q_xyzw, zeros[..., 0])
+
+
+def learn(
+    state: Learning,
+    gyro: Vector,
+    last_gyro: Vector,
+    known: Vector,
+    q_xyzw: Quaternion,
+    last_q: Quaternion,
+    good_gyro: Mask,
+    good_attitude: Mask,
+    dt: Scalar,
+) -> Learning:
+    """Learn from a sample: readings, those before, and the known acceleration since [rad/s²].
+
+    The masks say which readings are there and believed.
+    """
+    step = column(dt)
+    turning = 0.5 * (gyro + last_gyro) * step
+    age, older = state.age + dt, state.older + dt
+    turned, at_anchor = state.turned + known * step, turn(state.q_xyzw, turning)
+    full, fuller = age >= LONG, older >= LONGER
+    moved = gyro - last_gyro - known * step
+    apart = rotation_between(turn(last_q, turning), q_xyzw) - state.attitude.drift * step
+    both = good_gyro & good_attitude
+    far = gyro - state.rate - turned, column(age), full & (age < 2.0 * LONG)
+    farther = rotation_between(at_anchor, q_xyzw), column(older), fuller & (older < 2.0 * LONGER)
+    return Learning(
+        _learned(state.gyro, moved - state.moved, *far, good_gyro, 2, LOOSE, step),
+        _learned(state.attitude, apart, *farther, both, 1, TIGHT, step),
+        where(good_gyro, moved, state.moved),
+        where(column(full), gyro, state.rate),
+        where(column(full), 0.0, turned),
+        where(full, 0.0, age),
+        where(column(fuller), q_xyzw, at_anchor),
+        where(fuller, 0.0, older),
+    )
+
+
+def _learned(
+    state: Variogram,
+    near: Vector,
+    far: Vector,
+    age: Scalar,
+    full: Flag,
+    good: Mask,
+    power: int,
+    clip: float,
+    dt: Scalar,
+) -> Variogram:
+    """Learn from how far readings moved over ``dt`` and ``age`` [s]; variances grow by a power of the lag."""
+    time = smaller(state.time + dt * good, MEMORY)
+    gain = smaller(NEWS * dt / (PRIOR + time), 1.0) * good
+    gains = smaller(NEWS * age / (PRIOR + time), 1.0) * (good & column(full))
+    steady, bound = far - state.drift * age, sqrt(clip * state.far)
+    moved = smaller(larger(steady, -bound), bound)
+    return Variogram(
+        state.near + gain * (smaller(near * near, clip * state.near) - state.near),
+        state.far + gains * (moved * moved - state.far),
+        state.lag + gains * (age**power - state.lag),
+        time,
+        state.drift + gains * moved / larger(age, 1e-9),
+    )
+
+
+def noise_of(state: Learning) -> Noise:
+    """Return the variances that explain both lags."""
+    gyro, attitude = state.gyro, state.attitude
+    white, still = larger(gyro.near / 6.0, LEAST_GYRO**2), larger(attitude.near / 2.0, LEAST_ATTITUDE**2)
+    unknown = larger((gyro.far - 2.0 * white) / gyro.lag, LEAST_UNKNOWN**2)
+    doubt = (
+        2.0 * (2.0 * still) * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
+    )  # two sigma of a mean of squares
+    wander = larger((attitude.far - 2.0 * still - doubt) / attitude.lag, LEAST_WANDER**2)
+    return Noise(white, unknown, still, wander)

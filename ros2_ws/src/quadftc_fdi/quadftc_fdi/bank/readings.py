@@ -1,0 +1,75 @@
+"""Readings that are absent or repeated: rules, as no model of the motion has a say in that."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from quadftc_fdi.bank.noise import MEMORY
+from quadftc_model.arrays import (
+    Flag,
+    Mask,
+    Scalar,
+    Vector,
+    clip,
+    column,
+    larger,
+    log,
+    namespace,
+    smaller,
+    sqrt,
+    where,
+)
+from quadftc_model.samples import UNUSABLE
+
+SAME = 1e-3  # 1; a reading that changes by less, over its usual change, is repeated
+CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading at first; log of a chance that is none
+COARSE, LIKELY = 10.0, 0.7  # 1; chance of a repeated reading by its grain, over its usual change; at most
+LONG_RUN = 2.0  # 1; repetitions beyond which a run teaches nothing
+SILENT = 3.0  # 1; samples without a reading that are a fault
+
+
+class Readings(NamedTuple):
+    """What is remembered of the last readings of a sensor with three elements."""
+
+    last: Vector
+    repeats: Vector  # how often that was repeated
+    chance: Vector  # share of repeated readings, learned
+    missing: Vector  # samples without a reading, in a row
+    grain: Vector  # smallest change from reading to reading so far
+    silence: Vector  # for how long there has been no new reading [s]
+
+
+def start_readings(reading: Vector) -> Readings:
+    """Start at a reading."""
+    zeros = namespace(reading).zeros_like(reading)
+    return Readings(reading, zeros, zeros + CHANCE, zeros, zeros + UNUSABLE, zeros)
+
+
+def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, dt: Scalar) -> Readings:
+    """Take a reading, if one is ``there``; ``usual`` is the mean square of its changes."""
+    present = column(there)
+    change = abs(reading - state.last)
+    same = present & (change <= SAME * sqrt(usual))
+    learns = (dt / MEMORY) * (present & (state.repeats <= LONG_RUN))
+    new = present & ~same
+    by_grain = smaller(COARSE * state.grain / sqrt(usual), LIKELY)
+    chance = larger(state.chance + learns * (same - state.chance), by_grain)
+    return Readings(
+        where(new, reading, state.last),
+        where(present, (state.repeats + 1.0) * same, state.repeats),
+        chance,
+        (state.missing + 1.0) * ~present,
+        where(new, smaller(state.grain, change), state.grain),
+        (state.silence + dt) * ~new,
+    )
+
+
+def is_stuck(state: Readings) -> Mask:
+    """Whether a reading is repeated more often than by chance."""
+    return state.repeats * log(clip(state.chance, 1e-4, 0.99)) < RARE
+
+
+def is_absent(state: Readings) -> Mask:
+    """Whether there are no readings."""
+    return state.missing >= SILENT

@@ -1,0 +1,286 @@
+"""`bank`: one model of the motion, one table of modes, Bayes for the rest. On trial: docs/bank.md.
+
+It judges attitude and gyro. The accelerometer, the rotors and the position are not in its model yet.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from quadftc_fdi.bank import inference, modes, motion, noise, readings, trust
+from quadftc_fdi.bank.inference import OF_ATTITUDE, OF_GYRO, Bank
+from quadftc_fdi.bank.motion import Motion
+from quadftc_fdi.bank.noise import Learning, Noise
+from quadftc_fdi.bank.readings import Readings
+from quadftc_fdi.bank.trust import Trust
+from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, register, without_fault
+from quadftc_model import samples
+from quadftc_model.arrays import (
+    Array,
+    Flag,
+    Mask,
+    Quaternion,
+    Vector,
+    any_of,
+    branch,
+    clip,
+    column,
+    components,
+    cos,
+    exp,
+    larger,
+    namespace,
+    sin,
+    sqrt,
+    stacked,
+    where,
+)
+from quadftc_model.parameters import parameter
+from quadftc_model.rigid_body import gyroscopic_acceleration
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
+from quadftc_model.samples import (
+    FAULT_KINDS,
+    FaultEstimate,
+    FaultObserverInputs,
+    ImuSample,
+    SensorDiagnosis,
+    SensorEstimate,
+)
+
+OFFSET, STUCK, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "absent"))
+COMMITS = 1e-6  # 1; doubt at which a push is taken for true: it hides what began with it
+
+
+class State(NamedTuple):
+    """What the observer knows."""
+
+    motion: Motion
+    learning: Learning
+    bank: Bank
+    attitude: Trust
+    gyro: Trust
+    angles_read: Readings  # of the attitude [rad]
+    rates_read: Readings  # of the gyro [rad/s]
+    worth: Array  # log weight of the likeliest mode of each slot (..., slots)
+    rate: Vector  # reading of the gyro at the last sample [rad/s]
+    q_xyzw: Quaternion  # attitude read at the last sample
+    torque: Vector  # behind its lag [N m]
+
+
+class Seen(NamedTuple):
+    """What a sensor reads by the motion."""
+
+    off: Vector  # reading less motion
+    variance: Vector  # of that
+    mine: Array  # probability of its modes (..., 3)
+    there: Flag  # there is a reading (..., 1)
+
+
+@register("bank")
+class BankObserver(FaultObserver):
+    """Bank of fault modes: joint over sensors, axes and onsets."""
+
+    level: float = parameter(0.99, low=0.5, high=1.0, doc="probability from which a fault is named")
+    rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
+    attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
+
+    def init(self, inputs: FaultObserverInputs) -> State:
+        """Start at a sample."""
+        imu = inputs.imu
+        learning = noise.start_learning(imu.q_xyzw, imu.body_rate)
+        started = motion.start_motion(imu.q_xyzw, imu.body_rate, noise.noise_of(learning))
+        bank, full = inference.start_bank(imu.body_rate), trust.full_trust(imu.body_rate)
+        angles_read = readings.start_readings(euler_from_quaternion(imu.q_xyzw))
+        rates_read = readings.start_readings(imu.body_rate)
+        return State(
+            motion=started,
+            learning=learning,
+            bank=bank,
+            attitude=full,
+            gyro=full,
+            angles_read=angles_read,
+            rates_read=rates_read,
+            worth=bank.age[..., 0, :] + inference.LOWEST,
+            rate=imu.body_rate,
+            q_xyzw=imu.q_xyzw,
+            torque=inputs.torque,
+        )
+
+    def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> State:
+        """Return the state that resumes where another observer has died: its faults last, its bias holds."""
+        state = self.init(without_fault(inputs, last.fault))
+        peak = where(last.faulty, abs(last.fault), 0.0)
+        zeros = namespace(peak).zeros_like(peak)
+        attitude = Trust(last.faulty, last.since, last.fault, peak, zeros, zeros)
+        started = state.motion._replace(
+            bias=-last.gyro_correction, rate=inputs.imu.body_rate + last.gyro_correction
+        )
+        return state._replace(motion=started, attitude=attitude)
+
+    def bias_of(self, state: State) -> Vector:
+        """Return the gyro bias [rad/s]."""
+        return state.motion.bias
+
+    def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
+        """Advance by ``dt`` [s] to a sample."""
+        imu, levels = inputs.imu, noise.noise_of(state.learning)
+        attitude_read, gyro_read, good_attitude, good_gyro = self._read(state, imu, dt)
+        read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
+        moved, known, torque = self._predict(state, inputs, read, levels, dt)
+        bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
+        bank = inference.open_slots(bank, state.worth, dt)
+        # measure
+        expected = inference.of_gyro(bank, moved.rate, modes.pattern(modes.GYRO))
+        moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
+        bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
+        angles = euler_from_quaternion(moved.q_xyzw)
+        off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
+        expected = inference.of_attitude(bank, moved.rate, _turning(angles) @ modes.pattern(modes.ATTITUDE))
+        kept = quaternion_from_euler(angles + where(state.attitude.faulty, 0.0, off))
+        taken = where(any_of(state.attitude.faulty), kept, imu.q_xyzw)
+        moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
+        bank = inference.weigh(bank, OF_ATTITUDE, by_attitude, expected)
+        # believe
+        posterior = inference.believe(bank)
+        shares, p, doubt = _probabilities(posterior.log_weight)
+        named = self._named(p, doubt)
+        is_sure = named.any(axis=-1)
+        believed, bank, age = branch(
+            is_sure,
+            lambda: trust.take_over(moved, bank, posterior, named),
+            lambda: (moved, bank, p[..., 0] * 0.0),
+        )
+        attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), named[..., 3:6]
+        spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
+        attitude = trust.watch_attitude(state.attitude, attitude, age, off, spread, white, there, dt)
+        gyro = trust.watch_gyro(state.gyro, gyro, age, believed, state.motion.bias, dt)
+        # learn
+        well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
+        learning = noise.learn(state.learning, read, state.rate, known, imu.q_xyzw, state.q_xyzw, *well, dt)
+        after = State(
+            motion=believed,
+            learning=learning,
+            bank=inference.learn_temper(bank, namespace(p).stack(well, axis=-2), dt),
+            attitude=attitude,
+            gyro=gyro,
+            angles_read=attitude_read,
+            rates_read=gyro_read,
+            worth=posterior.log_weight.max(axis=-2),
+            rate=read,
+            q_xyzw=where(column(there), imu.q_xyzw, state.q_xyzw),
+            torque=torque,
+        )
+        # what is flown: the mean over the hypotheses, which has the least expected square of the error
+        b = posterior.b * (shares * ~is_sure[..., None, None])[..., None, :, :]
+        shift = (bank.U * b[..., None, None, :, :, :]).sum(axis=(-1, -2, -3)).swapaxes(-1, -2)
+        flown = motion.moved_by(believed, shift)
+        seen = (
+            Seen(off, spread, p[..., :3], column(there)),
+            Seen(gyro.size, by_gyro.variance, p[..., 3:6], column(imu.rate_valid)),
+        )
+        return after, self._said(after, inputs, flown, *seen)
+
+    def _read(self, state: State, imu: ImuSample, dt: float) -> tuple[Readings, Readings, Mask, Mask]:
+        """Take readings of attitude and gyro; also return which of them can be used."""
+        changes = state.learning.attitude.near, state.learning.gyro.near
+        angles = euler_from_quaternion(imu.q_xyzw)
+        attitude = readings.take_reading(state.angles_read, angles, imu.attitude_valid, changes[0], dt)
+        gyro = readings.take_reading(state.rates_read, imu.body_rate, imu.rate_valid, changes[1], dt)
+        good = column(imu.attitude_valid) & ~readings.is_stuck(attitude) & ~state.attitude.faulty
+        return attitude, gyro, good, column(imu.rate_valid) & ~readings.is_stuck(gyro)
+
+    def _predict(
+        self, state: State, inputs: FaultObserverInputs, read: Vector, levels: Noise, dt: float
+    ) -> tuple[Motion, Vector, Vector]:
+        """Predict the motion; also return the known acceleration [rad/s²] and the torque [N m]."""
+        inertia = self.vehicle.inertia
+        share = 1.0 - exp(-dt / larger(self.rotor_lag, 1e-9))
+        torque = state.torque + share * (inputs.torque - state.torque)
+        turning = clip(state.motion.rate, -samples.MAX_BODY_RATE, samples.MAX_BODY_RATE)
+        known = 0.5 * (torque + state.torque) / inertia + gyroscopic_acceleration(inertia, turning)
+        usual = state.learning.gyro.drift * column(inputs.driven)  # a trim, a centre of mass that is off
+        walk = where(state.gyro.faulty, trust.FAULTY_WALK, motion.WALK)
+        mean = 0.5 * (read + state.rate)
+        repeats = self.attitude_from_gyro
+        moved = motion.predict(state.motion, known + usual, inputs.driven, mean, walk, levels, repeats, dt)
+        return moved, known, torque
+
+    def _named(self, p: Array, doubt: Array) -> Array:
+        """Which mode is beyond doubt (..., modes); at most one."""
+        is_fault = modes.IS_FAULT
+        if self.attitude_from_gyro:  # a jump of it is one of its estimator
+            is_fault = is_fault & (modes.KIND != modes.ATTITUDE)
+        takes = is_fault | (modes.KIND != modes.GYRO)
+        sure = doubt < where(is_fault, 1.0 - self.level, COMMITS) * takes
+        return sure & (p == (p * sure).max(axis=-1, keepdims=True))
+
+    def _said(
+        self, state: State, inputs: FaultObserverInputs, flown: Motion, attitude: Seen, gyro: Seen
+    ) -> FaultEstimate:
+        """Say what is believed of a sample."""
+        imu, xp = inputs.imu, namespace(flown.rate)
+        judged = not self.attitude_from_gyro
+        unsure = column(gyro.mine.sum(axis=-1) + judged * attitude.mine.sum(axis=-1) > self.level)
+        by_attitude = self._judge(state.attitude, state.angles_read, attitude, unsure & judged)
+        by_gyro = self._judge(state.gyro, state.rates_read, gyro, unsure)
+        zeros = xp.zeros_like(flown.rate)
+        none = xp.zeros_like(flown.rate, dtype=xp.uint8)
+        unjudged = SensorEstimate(none, zeros, zeros - 1.0, zeros - 1.0, zeros, none, zeros > 0.0)
+        there = imu.attitude_valid | True
+        corrected = imu._replace(
+            q_xyzw=flown.q_xyzw, body_rate=flown.rate, attitude_valid=there, rate_valid=imu.rate_valid
+        )
+        return FaultEstimate(
+            by_attitude.size,
+            by_attitude.std_dev,
+            by_attitude.state,
+            by_attitude.onset_age,
+            corrected,
+            SensorDiagnosis(by_attitude, by_gyro, unjudged),
+        )
+
+    def _judge(self, state: Trust, read: Readings, seen: Seen, unsure: Flag) -> SensorEstimate:
+        """Say what is believed of a sensor; ``unsure``: one of several has a fault."""
+        xp = namespace(seen.off)
+        stuck, absent = readings.is_stuck(read), readings.is_absent(read)
+        certain: Mask = state.faulty | stuck | absent
+        ambiguous = unsure & (seen.mine > 1.0 - self.level) & ~certain
+        declared = certain | ambiguous
+        suspect = where(seen.mine > 0.5, samples.SUSPECT, samples.HEALTHY)
+        faulty = where(state.calm > 0.0, samples.RECOVERING, samples.FAULTY)
+        kind = where(absent, ABSENT, where(stuck, STUCK, OFFSET))
+        age = where(state.faulty, state.age, where(stuck | absent, read.silence, 0.0))
+        return SensorEstimate(
+            where(declared, faulty, suspect).astype(xp.uint8),
+            where(state.faulty & ~seen.there, state.size, where(declared & ~absent, seen.off, 0.0)),
+            sqrt(seen.variance),
+            where(declared, age, -1.0),
+            where(certain, 1.0, seen.mine),
+            where(declared, kind, 0).astype(xp.uint8),
+            ambiguous,
+        )
+
+
+def _probabilities(weight: Array) -> tuple[Array, Array, Array]:
+    """Return the probability of hypotheses and modes, and what is left beside each mode (..., modes)."""
+    highest = larger(weight.max(axis=(-1, -2)), 0.0)
+    shares, none = exp(weight - highest[..., None, None]), exp(-highest)
+    total = none + shares.sum(axis=(-1, -2))
+    shares = shares / total[..., None, None]
+    p = shares.sum(axis=-1)
+    others = p @ (1.0 - np.eye(modes.MODES))  # a sum, as 1 - p would lose it to rounding
+    return shares, p, column(none / total) + others
+
+
+def _turning(angles: Vector) -> Array:
+    """Rotation vector in body axes of small changes of the Euler angles [rad] (..., 3, 3)."""
+    (s_phi, s_theta, _), (c_phi, c_theta, _) = components(sin(angles)), components(cos(angles))
+    one, none = namespace(s_phi).ones_like(s_phi), namespace(s_phi).zeros_like(s_phi)
+    rows = [
+        stacked([one, none, -s_theta]),
+        stacked([none, c_phi, s_phi * c_theta]),
+        stacked([none, -s_phi, c_phi * c_theta]),
+    ]
+    return namespace(s_phi).stack(rows, axis=-2)
