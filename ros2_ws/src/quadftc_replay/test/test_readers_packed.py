@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import os
+import struct
 import sys
 import zipfile
 
@@ -45,6 +46,7 @@ def mapping(tmp_path):
         (bytes(range(1, 200)), "a file that begins with 01 02 03 04 05 06 07 08"),
         (b"name".ljust(257, b"\0") + b"ustar", "a tar archive, which has to be unpacked"),
         (b"hello\nworld\n", "a text file"),
+        ((b"\xfe\x09" + bytes(15)) * 3, "MAVLink without times of receipt; a .tlog has them"),
         (TABLE.encode(), "a text file, perhaps a table, whose columns --mapping FILE explains"),
     ],
 )
@@ -122,6 +124,14 @@ def test_archive_without_a_log_says_what_it_holds(tmp_path):
         read_log(path)
 
 
+def test_archive_with_other_compression_is_refused(tmp_path, mapping):
+    path = tmp_path / "logs.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_BZIP2) as target:
+        target.writestr("flight.csv", TABLE)
+    with pytest.raises(BagError, match=r"a ZIP archive without a log that can be read; it holds flight.csv"):
+        read_log(path, mapping)
+
+
 def test_bomb_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("quadftc_replay.readers.unpacking.FREE", 1 << 20)
     path = tmp_path / "bomb.gz"
@@ -158,6 +168,25 @@ def test_reader_that_misbehaves_is_stopped_and_named(tmp_path, monkeypatch, mapp
     with pytest.raises(BagError) as caught:
         read_bounded(path, mapping)
     assert f"{path}: the reader of a CSV with --mapping log {SAID[what]}" in str(caught.value)
+
+
+def test_log_that_makes_the_library_loop_is_refused(tmp_path, monkeypatch):
+    # a ULog with many formats, and then a message whose length leads back to the first of them
+    def message(kind: bytes, body: bytes, length: int | None = None) -> bytes:
+        return struct.pack("<H", len(body) if length is None else length) + kind + body
+
+    text = b"char[4] a"
+    data = b"ULog\x01\x12\x35\x01" + bytes(8)
+    while len(data) < 12_100:
+        data += message(b"I", bytes([len(text)]) + text + b"abcd")
+    path = tmp_path / "log.ulg"
+    path.write_bytes(data + message(b"\x01", b"xx", len(data) - 13))
+    monkeypatch.setattr(bounded, "processor_time", lambda _reader, _size: 3)
+    with pytest.raises(BagError) as caught:
+        read_bounded(path)
+    assert str(caught.value) == (
+        f"{path}: the reader of a PX4 ULog log was stopped: more than 3 s of processor time for 0.0121 MB"
+    )
 
 
 def test_bounded_reader_gives_the_same_log_and_the_same_error(tmp_path, mapping):

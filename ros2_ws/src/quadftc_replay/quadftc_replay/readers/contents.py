@@ -81,6 +81,15 @@ def is_mavlink(head: bytes) -> bool:
     return True
 
 
+def _is_bare_mavlink(head: bytes) -> bool:
+    at = 0
+    for _ in range(2):
+        if at + 24 > len(head) or head[at] not in MAVLINK:
+            return False
+        at += message_length(head, at)
+    return True
+
+
 def message_length(data: bytes | mmap.mmap, at: int) -> int:
     """Bytes of a MAVLink message that begins at a place, with its signature."""
     place, beside = MAVLINK[data[at]]
@@ -108,6 +117,8 @@ def name_content(head: bytes) -> str:
         return named
     if not any(head):
         return "a file of zeros"
+    if _is_bare_mavlink(head):
+        return "MAVLink without times of receipt; a .tlog has them"
     if is_text(head):
         line = head.splitlines()[0] if head.strip() else b""
         if any(sign in line for sign in (b",", b";", b"\t")):

@@ -22,6 +22,7 @@ from quadftc_replay.readers.contents import HEAD
 ZIP, GZIP, ZSTANDARD = b"PK\x03\x04", b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 ENTRY = struct.Struct("<4s4sH8s2I2H")  # of a file: signature, method, size packed, length of name and more
 PACKED = (ZIP, GZIP, ZSTANDARD)
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others unpack any amount at a time
 BLOCK = 1 << 16  # bytes unpacked at a time, so that damage costs no more of what is before it
 FREE, RATIO = 64 << 20, 100  # bytes that any log may have unpacked, and more of a packed byte
 LARGEST = 8 << 30  # bytes
@@ -75,7 +76,8 @@ def _choose(
 ) -> tuple[zipfile.ZipInfo, int]:
     """Choose a log of an archive; return it, and which of the logs in it is meant."""
     entries = [entry for entry in archive.infolist() if entry.file_size]
-    logs = [entry for entry in entries[:MOST_FILES] if is_log(_head(archive, entry))]
+    readable = [entry for entry in entries if entry.compress_type in METHODS][:MOST_FILES]
+    logs = [entry for entry in readable if is_log(_head(archive, entry))]
     if not logs:
         raise BagError(f"{path}: a ZIP archive without a log that can be read; it holds {_list(entries)}")
     if len(logs) == 1:
