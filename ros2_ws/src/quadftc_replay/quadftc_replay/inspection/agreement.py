@@ -29,6 +29,7 @@ ROUNDS = 6  # of the reweighted fit
 HUBER = 2.0  # standard deviations
 SCALE = 0.1  # 1; largest scale and alignment
 SLOW = 2.0  # s
+HALF = 0.7 * np.pi  # rad; of half a turn between two attitudes
 ASIDE = 0.5  # s; before and after a step of the gyro, over which it parts from the attitude
 CLEAR = 4.0  # standard deviations of what it parts by otherwise
 SAME = 0.5  # 1; of the step
@@ -63,6 +64,7 @@ def compare(attitude: Signal, gyro: Signal) -> Agreement | None:
     jumps = np.concatenate([[0.0], (steps > max(5.0 * float(np.median(steps)), 0.05)) * 1.0]).cumsum()
     dark = np.diff(np.interp(time, gyro_time, jumps)) > 0.0
     good = (dt < GAP * usual) & ~dark & np.isfinite(turn).all(axis=1)
+    good &= np.linalg.norm(theta, axis=1) < HALF  # else nobody knows how often it turned
     if good.sum() < 50:
         return None
     rest, scale = _fit(turn - theta, theta, np.diff(rate, axis=0), dt, good)

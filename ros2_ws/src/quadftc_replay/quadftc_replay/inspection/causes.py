@@ -26,6 +26,7 @@ FOLLOWS = {
     "accelerometer": ("accelerometer", "attitude"),
     "attitude": ("attitude",),
 }
+LATER = {"gyro": 0.5 * SLACK, "accelerometer": 0.5 * SLACK, "attitude": SLACK}  # s
 RESETS = ("reset", "lane switch", "primary", "aligned")  # words of an estimator that starts anew
 RESET = 0.5  # s; from its words to the jump
 
@@ -34,7 +35,7 @@ def first_cause(
     found: Sequence[Found], ending: Ending, events: Sequence[Event]
 ) -> tuple[list[Found], list[Found]]:
     """Divide findings into causes, the earliest first, and what follows from them or is explained."""
-    left = sorted(_without_doubles(found), key=lambda each: _rank(each.finding))
+    left = sorted(_without_doubles(found), key=_rank)
     causes, follows = list[Found](), list[Found]()
     for each in left:
         finding = each.finding
@@ -49,9 +50,12 @@ def first_cause(
     return causes, follows
 
 
-def _rank(finding: Finding) -> tuple[bool, float]:
-    """Order of causes: those that suffice, by onset; estimates go wrong after their sensors."""
-    return finding.probability < SUFFICES, finding.onset_s + SLACK * (finding.component == "attitude")
+def _rank(found: Found) -> tuple[bool, float]:
+    """Order of causes: those that suffice, by onset; at once, those first that others follow from."""
+    finding = found.finding
+    is_fact = found.is_direct or finding.kind in FACTS
+    order = 0.0 if is_fact else LATER.get(finding.component.split()[0], 0.0)
+    return finding.probability < SUFFICES, finding.onset_s + order
 
 
 def _follows(finding: Finding, cause: Finding) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 from quadftc_model.rotations import to_body, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
-from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.flight import Flight, near_any
 from quadftc_replay.inspection.whitening import Floats, runs_of
 
 WINDOW = 1.0  # s; T
@@ -28,6 +28,7 @@ LEAST = 20  # windows
 CALM = 0.3  # 1; quantile of the changes that is the usual one; chi² of three components is 1.4 there
 LEVEL = 6.0  # standard deviations
 SMALLEST = 1.0  # m/s²; 6 deg of tilt, which estimators reach without a fault
+TURN = 0.7  # rad; between two attitudes, beyond which the way between them is not known
 USABLE = 0.5  # m/s²; sigma of a path that says anything
 AROUND = (2.0, 1.5)  # s; before and after, over which causes are compared: later, estimators have learned
 
@@ -75,6 +76,9 @@ def path_of(attitude: Signal | None, force: Signal | None, velocity: Signal | No
     ]
     rest = min(rests, key=lambda each: float(np.median(np.linalg.norm(each, axis=1))))
     known = _covered(time, velocity.time, DELAYS[-1]) & _covered(time, force.time, 0.0)
+    cosine = np.abs(np.sum(attitude.value[1:] * attitude.value[:-1], axis=1))
+    tumbles = attitude.time[1:][2.0 * np.arccos(np.clip(cosine, 0.0, 1.0)) > TURN]
+    known &= ~near_any(time, tumbles, 0.5 * WINDOW)
     if known.sum() < LEAST:
         return None
     apart = round(WINDOW / STEP)

@@ -24,11 +24,11 @@ from quadftc_replay.inspection.rotor_trim import effects
 from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask
 
 WINDOWS = (0.3, 1.0)  # s; over which r has moved
-BEFORE = 2.0  # s; over which it was known
+BEFORE, KNOWN = 2.0, 1.0  # s; over which it was known, and at least
 FASTEST = 100.0  # Hz; of commands that are used
 FEWEST = 3  # commands in a window
 FLOOR = 0.01  # 1; standard deviation of r, at least: that of Crazyflies from flight to flight
-LEVEL = 4.5  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 3.2
+LEVEL = 4.0  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 2.7
 CANDIDATE = 3.0  # standard deviations; of a step that the model of all before it has to confirm
 LEAST, MOST = 0.2, 2.0  # 1; share of the rotor's thrust
 ASIDE = 0.5  # 1; of what r moves by, that may point elsewhere
@@ -39,7 +39,7 @@ PARTS = (0.35, 0.5, 0.75, 1.0)  # 1; of the flight, by which models are fitted
 LEAST_FLOWN = 30  # commands in flight
 MIXED = 0.98  # 1; R² of a mixer from which it is used
 USUAL = np.array([0.01, 0.03, 0.0])  # J [s²], L [s] and D [s], before anything is fitted
-PRIOR = np.array([0.01, 0.03, 0.02])  # their standard deviations
+PRIOR = np.array([0.01, 0.03, 0.01])  # their standard deviations
 GAINS = 0.35  # 1; by which they may be off whatever the fit says: closed loops hide them
 TOGETHER = 5.0  # 1; samples that tell as much as one that is independent
 NEARLY = 0.8  # 1; of the score of the first, from which a second rotor is named
@@ -155,15 +155,17 @@ def fit(torque: Torque, moved: Floats) -> tuple[Floats, Floats]:
     return found, covariance
 
 
-def find_step(flight: Flight) -> tuple[RotorStep | None, bool]:
-    """Find the first rotor that lost thrust; and whether rotors could be judged so.
+def find_step(flight: Flight) -> tuple[RotorStep | None, float | None]:
+    """Find the first rotor that lost thrust; and what share of any rotor's thrust would show.
 
+    The share is None where rotors cannot be judged so.
     What comes after a loss spoils the model. So models of longer and longer parts of the flight look for one,
     and it has to show with the model of what came before it, too.
     """
     torque = torque_of(flight)
     if torque is None or torque.flying.sum() < LEAST_FLOWN:
-        return None, False
+        return None, None
+    shows = _share_that_shows(torque)
     ends = np.quantile(torque.time[torque.flying], PARTS).tolist()
     for end in ends:
         step = search(torque, *_model(torque, end), level=CANDIDATE)
@@ -173,9 +175,21 @@ def find_step(flight: Flight) -> tuple[RotorStep | None, bool]:
             again = search(torque, *_model(torque, step.onset - WINDOWS[0], step))
             is_same = again is not None and again.rotor == step.rotor
             if again is not None and is_same and abs(again.onset - step.onset) < WINDOWS[0]:
-                return again._replace(onset=_begins_to_turn(flight, torque, again)), True
+                return again._replace(onset=_begins_to_turn(flight, torque, again)), shows
             step = again
-    return None, True
+    return None, shows
+
+
+def _share_that_shows(torque: Torque) -> float:
+    """Return the share of its thrust that any rotor may lose without being seen."""
+    part = torque.rows(np.flatnonzero(torque.flying))
+    rest = part.asked - np.einsum("nak,ak->na", part.columns, fit(part, np.zeros_like(part.asked))[0])
+    period = float(np.median(np.diff(part.time)))
+    before, count = (max(FEWEST, round(each / period)) for each in (BEFORE, WINDOWS[-1]))
+    k = np.arange(FEWEST, len(rest) - FEWEST + 1)
+    sigma = np.hypot(FLOOR, _scatter(_steps(rest, k, before, count)))
+    effect = np.median(part.commands, axis=0) * np.linalg.norm(part.layout, axis=0)
+    return float(np.max(LEVEL * sigma / np.maximum(effect, 1e-9)))
 
 
 def _model(torque: Torque, end: float, step: RotorStep | None = None) -> tuple[Floats, Floats]:
@@ -196,30 +210,33 @@ def search(torque: Torque, factors: Floats, covariance: Floats, level: float = L
     rest = part.asked - np.einsum("nak,ak->na", part.columns, factors)
     doubt = np.einsum("nak,akl,nal->na", part.columns, covariance, part.columns)
     before = max(2 * FEWEST, round(BEFORE / period))
+    others_only = covariance.copy()  # the inertia's doubt has a sign
+    others_only[:, 0, :] = others_only[:, :, 0] = 0.0
     best: RotorStep | None = None
     for window in WINDOWS:
         count = max(FEWEST, round(window / period))
-        k = np.arange(FEWEST, len(rows) - FEWEST + 1)
+        k = np.arange(max(FEWEST, round(KNOWN / period)), len(rows) - FEWEST + 1)
         if not len(k):
             continue
         step = _steps(rest, k, before, count)
         unsure = _steps(part.columns.reshape(len(rows), 6), k, before, count).reshape(len(k), 2, 3)
-        variance = np.einsum("nak,akl,nal->na", unsure, covariance, unsure) + _scatter(step) ** 2 + FLOOR**2
+        variance = np.einsum("nak,akl,nal->na", unsure, others_only, unsure) + _scatter(step) ** 2 + FLOOR**2
+        least = _least_favourable(step, unsure[..., 0], factors[:, 0], np.sqrt(covariance[:, 0, 0]))
         driven = _after(part.commands, k, count)
         effect = driven[:, :, None] * torque.layout.T  # (m, rotors, 2)
         power = np.sum(effect**2 / variance[:, None], axis=2) + 1e-12
-        share = np.einsum("mra,ma->mr", effect, step / variance) / power
-        aside = np.linalg.norm(step[:, None] - share[..., None] * effect, axis=2)
-        score = share * np.sqrt(power)
-        fits = (score > level) & (share > LEAST) & (share < MOST)
-        fits &= aside < ASIDE * np.linalg.norm(step, axis=1)[:, None]
+        share, sure = (np.einsum("mra,ma->mr", effect, each / variance) / power for each in (step, least))
+        aside = np.linalg.norm(least[:, None] - sure[..., None] * effect, axis=2)
+        score = sure * np.sqrt(power)
+        fits = (score > level) & (sure > LEAST) & (sure < MOST)
+        fits &= aside < ASIDE * np.linalg.norm(least, axis=1)[:, None]
         score: Floats = np.where(fits, score, 0.0)
         starts: list[int] = np.flatnonzero(fits.any(axis=1)).tolist()
         for first in starts:
             at = first + int(np.argmax(score[first : first + count].max(axis=1)))
             rotor = int(np.argmax(score[at]))
             whole = _whole(part, rest, doubt, int(k[at]), before, rotor)
-            if whole < STAYS * share[at, rotor]:
+            if whole < STAYS * sure[at, rotor]:
                 continue
             others: Floats = score[at].copy()
             others[rotor] = 0.0
@@ -227,10 +244,8 @@ def search(torque: Torque, factors: Floats, covariance: Floats, level: float = L
             found = RotorStep(
                 rotor=rotor,
                 onset=float(part.time[k[at]]),
-                share=min(
-                    max(whole, float(share[at, rotor])), 1.0
-                ),  # inertia that is fitted too small hides some
-                sigma=float(1.0 / np.sqrt(power[at, rotor])),
+                share=min(max(whole, float(share[at, rotor])), 1.0),  # inertia that is too small hides some
+                sigma=float(np.hypot(1.0 / np.sqrt(power[at, rotor]), 0.5 * (share - sure)[at, rotor])),
                 score=float(score[at, rotor]),
                 second=second if others[second] > NEARLY * score[at, rotor] else None,
                 time=part.time,
@@ -240,6 +255,14 @@ def search(torque: Torque, factors: Floats, covariance: Floats, level: float = L
                 best = found
             break
     return best
+
+
+def _least_favourable(step: Floats, alpha: Floats, inertia: Floats, sigma: Floats) -> Floats:
+    """Steps (m, 2) by the inertia, within two standard deviations, that leaves least of them."""
+    lighter = step + np.minimum(inertia, 2.0 * sigma) * alpha
+    heavier = step - 2.0 * sigma * alpha
+    least = np.where(np.abs(lighter) < np.abs(heavier), lighter, heavier)
+    return np.where(lighter * heavier > 0.0, least, 0.0)
 
 
 def _after(values: Floats, k: NDArray[np.int_], count: int) -> Floats:

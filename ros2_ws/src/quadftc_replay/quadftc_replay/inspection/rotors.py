@@ -43,6 +43,7 @@ STOPS_FOR = 0.25  # s; else: manoeuvres stop rotors for less
 UNASKED = 0.8  # probability that it is a fault, where nobody knows what it was told
 ASKED = 0.6  # where it was told to: whoever flies on three rotors tells the fourth to stand
 TURNS_IN = 0.3  # s; within which a vehicle turns after a rotor has stopped
+HALF = 0.5  # 1; of a rotor's thrust: a loss that has to show in a flight that is called healthy
 ALL_OF_IT = 0.75  # 1; share of the thrust from which a rotor is off
 AROUND = 0.6  # s
 
@@ -62,12 +63,13 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
     if log.rotor_speeds is None and log.rotor_commands is None and log.torque_command is None:
         return Rotors([], None, False, [_not_judged("neither rotor commands nor speeds are logged")])
     has_rotors = log.rotor_speeds is not None or log.rotor_commands is not None
-    step, knows_layout = find_step(flight)
+    step, shows = find_step(flight)
     standing = list(_standing(flight))
     stands = (each for each in standing if each.finding.component == "rotor")
     stopped = min(stands, key=lambda each: each.finding.onset_s, default=None)
-    if knows_layout:
-        lost, model, turns, can_see_loss = None if step is None else _step_found(step), None, False, True
+    if shows is not None:
+        lost, model, turns = None if step is None else _step_found(step), None, False
+        can_see_loss = step is not None or shows < HALF
     else:
         lost, model, turns, can_see_loss = _by_free_gains(flight, stopped)
     found = _first(stopped, lost, turns)
@@ -82,7 +84,7 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
         if baseline is not None and healthy is None:
             missing.append(_not_judged("the baseline has no steady flight with rotor commands or speeds"))
     if not can_see_loss:
-        missing.append(_not_judged(_why_no_loss(flight, has_rotors, model)))
+        missing.append(_not_judged(_why_no_loss(flight, has_rotors, model, shows)))
     return Rotors(found, model, has_rotors and can_see_loss, missing)
 
 
@@ -109,8 +111,10 @@ def _by_free_gains(
     return lost, model, turns, bool(model.usable[:2].all())
 
 
-def _why_no_loss(flight: Flight, has_rotors: bool, model: Identified | None) -> str:
+def _why_no_loss(flight: Flight, has_rotors: bool, model: Identified | None, shows: float | None) -> str:
     """Say why a sudden loss of a rotor could not be seen."""
+    if shows is not None:
+        return f"in this flight a loss of {100 * min(shows, 1.0):.0f} % of a rotor's thrust would not show"
     if not has_rotors:
         return "only the torque of all rotors together is logged"
     if flight.gyro is None:
