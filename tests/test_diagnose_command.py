@@ -1,0 +1,72 @@
+"""``quadftc diagnose`` as a user calls it: which log of a file, tables, files that are no logs."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+from command_bench import call_quadftc
+
+MAPPING = """
+[time]
+column = "t"
+[[signal]]
+quantity = "gyro"
+columns = ["x", "y", "z"]
+unit = "rad/s"
+"""
+
+
+@pytest.fixture
+def archive(tmp_path):
+    """Two tables in an archive; in the second the gyro has a step about x at 15 s."""
+    (tmp_path / "mapping.toml").write_text(MAPPING)
+    path, rng = tmp_path / "logs.zip", np.random.default_rng(1)
+    with zipfile.ZipFile(path, "w") as target:
+        for number in (1, 2):
+            rates = rng.normal(scale=0.01, size=(3000, 3))
+            rates[1500:, 0] += 0.5 * (number - 1)
+            rows = "".join(f"{0.01 * k:.2f},{x},{y},{z}\n" for k, (x, y, z) in enumerate(rates))
+            target.writestr(f"flight{number}.csv", f"t,x,y,z\n{rows}")
+    return path
+
+
+def test_log_of_an_archive_is_chosen(archive, tmp_path):
+    options = ("--mapping", tmp_path / "mapping.toml", "--no-report", "--out", tmp_path / "out")
+    asked = call_quadftc("diagnose", archive, *options)
+    assert asked.returncode == 2
+    assert asked.stderr.endswith(
+        "2 logs in the archive; choose one with --log: 1 flight1.csv, 2 flight2.csv\n"
+    )
+    for number in (1, 2):
+        done = call_quadftc("diagnose", archive, "--log", f"{number}", *options)
+        assert done.returncode != 2, done.stderr
+        verdict = json.loads((tmp_path / "out/verdict.json").read_text())
+        assert verdict["log"] == "logs.zip"
+        assert f"flight{number}.csv in the archive" in verdict["notes"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"z"', '"w"', "mapping.toml: signal 1 (gyro): no column 'w' in logs.zip; columns there: t, x, y, z"),
+        ('"rad/s"', '"rpm"', "mapping.toml: signal 1: unit 'rpm' of gyro; expected rad/s, deg/s, mrad/s"),
+    ],
+)
+def test_mapping_that_is_wrong_says_where(archive, tmp_path, old, new, words):
+    mapping = tmp_path / "mapping.toml"
+    mapping.write_text(MAPPING.replace(old, new))
+    done = call_quadftc("diagnose", archive, "--log", "1", "--mapping", mapping)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"error: {tmp_path}/{words}\n"
+
+
+def test_file_that_is_no_log_is_named(tmp_path):
+    path = tmp_path / "plot.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n")
+    done = call_quadftc("diagnose", path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {path}: a PNG picture; expected a log of one of the formats")
