@@ -96,6 +96,7 @@ class _Scan:
         self.data, self.wanted = data, wanted
         self.places: dict[tuple[int, int, int], Places] = {}  # system, component, message
         self.skipped = self.gaps = self.left = self.wrong = 0
+        self._found = dict.fromkeys(HEADERS, -1)  # next place of each first byte that was looked for
 
     def count(self, key: tuple[int, int, int]) -> int:
         """How many messages there are."""
@@ -138,8 +139,11 @@ class _Scan:
 
     def _next(self, at: int, size: int) -> int:
         """Place of the next stamp that may have a message behind it."""
-        found = [self.data.find(bytes([each]), at + STAMP_SIZE) for each in HEADERS]
-        return min((each - STAMP_SIZE for each in found if each >= 0), default=size)
+        for first, found in self._found.items():
+            if found < at + STAMP_SIZE:
+                found = self.data.find(bytes([first]), at + STAMP_SIZE)
+                self._found[first] = found if found >= 0 else size + STAMP_SIZE
+        return min(self._found.values()) - STAMP_SIZE
 
     def notes(self) -> Iterator[str]:
         """Say what is wrong with the log."""

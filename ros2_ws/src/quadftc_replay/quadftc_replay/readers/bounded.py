@@ -68,7 +68,7 @@ def _run(reader: Reader, path: Path, call: bytes, result: str) -> None:
     except subprocess.TimeoutExpired:
         raise BagError(f"{what} was stopped: more than {PATIENCE * seconds} s") from None
     if done.returncode == BAD_INPUT:
-        raise BagError(done.stdout.decode("utf-8", "replace").strip())
+        raise BagError(_last_line(done.stdout))
     share = f"for {size / MEGABYTE:.3g} MB"
     if done.returncode == NO_MEMORY:
         raise BagError(f"{what} was stopped: more than {memory(size) >> 20} MiB of memory {share}")
@@ -77,8 +77,11 @@ def _run(reader: Reader, path: Path, call: bytes, result: str) -> None:
     if done.returncode < 0:
         raise BagError(f"{what} crashed ({signal.Signals(-done.returncode).name})")
     if done.returncode:
-        last = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
-        raise BagError(f"{what} failed: {last or f'exit code {done.returncode}'}")
+        raise BagError(f"{what} failed: {_last_line(done.stderr) or f'exit code {done.returncode}'}")
+
+
+def _last_line(said: bytes) -> str:
+    return said.decode("utf-8", "replace").strip().rpartition("\n")[2]
 
 
 def _size(path: Path) -> int:
