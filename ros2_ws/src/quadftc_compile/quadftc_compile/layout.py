@@ -154,6 +154,15 @@ def kind_of(name: str) -> Callable[..., Any]:
         raise ValueError(f"{name}: no such type") from error
 
 
+# words of C99 and C++20 that Python takes for names
+RESERVED = re.compile(
+    "auto|bool|case|catch|char|const|constexpr|default|delete|do|double|enum|explicit|export|extern|false|float|"
+    "friend|goto|inline|int|long|mutable|namespace|new|operator|private|protected|public|register|restrict|"
+    "short|signed|sizeof|static|struct|switch|template|this|throw|true|typedef|typename|union|unsigned|using|"
+    "virtual|void|volatile"
+)
+
+
 # -- C --------------------------------------------------------------------------------------------
 
 
@@ -189,11 +198,12 @@ class Structs:
             words = comments(field) if comments else told.get(field, "")
             if inside[0] == "array":
                 kind, shape = C_TYPES[inside[1]], tuple(inside[2])
-                member = f"{kind} {field}{f'[{math.prod(shape)}]' if shape else ''};"
+                member = f"{kind} {c_name(field)}{f'[{math.prod(shape)}]' if shape else ''};"
                 if len(shape) > 1:
                     words = f"{shape} {words}".strip()
             else:
-                member = f"{self.name_of(inside, f'{name.removeprefix(self._prefix)[1:]}_{field}')} {field};"
+                inner = self.name_of(inside, f"{name.removeprefix(self._prefix)[1:]}_{field}")
+                member = f"{inner} {c_name(field)};"
             lines.append(f"    {member}{f'  /* {words} */' if words else ''}")
         lines = lines or ["    uint8_t nothing;"]
         summary = _summary(kind_of(layout[1])) if layout[1] else ""
@@ -203,7 +213,12 @@ class Structs:
 
 def member(path: Sequence[str]) -> str:
     """Return the text of a member of a struct."""
-    return ".".join(path)
+    return ".".join(map(c_name, path))
+
+
+def c_name(field: str) -> str:
+    """Return a name that C and C++ take for a member: theirs get an underscore."""
+    return f"{field}_" if RESERVED.fullmatch(field) else field
 
 
 def _unused(name: str, taken: set[str]) -> str:

@@ -29,6 +29,7 @@ from quadftc_compile.layout import (
     C_TYPES,
     Layout,
     Structs,
+    c_name,
     layout_of,
     leaves_of,
     member,
@@ -362,7 +363,7 @@ def _texts_of(layout: Layout, name: str) -> list[str]:
             found.append(path)
         elif inside[0] == "tuple":
             for field, each in inside[2]:
-                walk(each, f"{path}.{field}" if path != name else f"{name}->{field}")
+                walk(each, f"{path}.{c_name(field)}" if path != name else f"{name}->{c_name(field)}")
 
     walk(layout, name)
     return found

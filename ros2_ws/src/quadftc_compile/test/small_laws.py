@@ -102,3 +102,26 @@ class Rotation(Checked):
         (a, b), (c, d) = (each.reshape(4, 2).T for each in (state, inputs))
         product = xp.stack([a * c - b * d, a * d + b * c], axis=-1).reshape(8)
         return product, dt * product + inputs
+
+
+class Reserved(NamedTuple):
+    """A state whose fields are words of C."""
+
+    double: Any
+    short: Any
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Keywords(Checked):
+    """A law that is called in words of C."""
+
+    register: float = parameter(0.5, doc="share of the news")
+
+    def init(self, inputs: Inputs) -> Reserved:
+        """Start at the value."""
+        return Reserved(inputs.value, 0.0 * inputs.value[..., 0])
+
+    def step(self, state: Reserved, inputs: Inputs, dt: Any) -> tuple[Reserved, Any]:
+        """Follow the value."""
+        double = state.double + self.register * (inputs.value - state.double)
+        return Reserved(double, state.short + dt), double

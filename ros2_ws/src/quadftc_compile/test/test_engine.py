@@ -21,7 +21,7 @@ from quadftc_compile.runner import CRunner
 from quadftc_model.stepper import NumpyRunner, Stepper
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that another process can import these laws, too
-from small_laws import Branching, Floating, Inputs, LowPass, Rotation
+from small_laws import Branching, Floating, Inputs, Keywords, LowPass, Rotation
 
 RANDOM = np.random.default_rng(3)
 
@@ -69,6 +69,15 @@ def test_products_and_sums_are_rounded_one_by_one():
     of_c, found = run(CRunner(law, build_library(recipe_of(law, law.example()))), inputs)
     assert np.array_equal(found, wanted)
     assert np.array_equal(of_c, state)
+
+
+def test_fields_may_have_words_of_c_as_names():
+    law, inputs = Keywords(register=0.25), samples(10)
+    state, wanted = run(NumpyRunner(law), inputs)
+    of_c, found = run(CRunner(law, build_library(recipe_of(law, inputs[0]))), inputs)
+    np.testing.assert_array_equal(found, wanted)
+    assert of_c.short == state.short
+    np.testing.assert_array_equal(of_c.double, state.double)
 
 
 def test_other_numbers_need_no_other_library_but_another_structure_does():
