@@ -37,13 +37,14 @@ class Readings(NamedTuple):
     chance: Vector  # share of repeated readings, learned
     missing: Vector  # samples without a reading, in a row
     grain: Vector  # smallest change from reading to reading so far
+    seen: Mask  # there has been one
     silence: Vector  # for how long there has been no new reading [s]
 
 
 def start_readings(reading: Vector) -> Readings:
     """Start at a reading."""
     zeros = namespace(reading).zeros_like(reading)
-    return Readings(reading, zeros, zeros + CHANCE, zeros, zeros + UNUSABLE, zeros)
+    return Readings(reading, zeros, zeros + CHANCE, zeros, zeros + UNUSABLE, zeros > 0.0, zeros)
 
 
 def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, dt: Scalar) -> Readings:
@@ -61,6 +62,7 @@ def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, d
         chance,
         (state.missing + 1.0) * ~present,
         where(new, smaller(state.grain, change), state.grain),
+        state.seen | present,
         (state.silence + dt) * ~new,
     )
 
@@ -71,5 +73,5 @@ def is_stuck(state: Readings) -> Mask:
 
 
 def is_absent(state: Readings) -> Mask:
-    """Whether there are no readings."""
-    return state.missing >= SILENT
+    """Whether there are no readings any more."""
+    return state.seen & (state.missing >= SILENT)

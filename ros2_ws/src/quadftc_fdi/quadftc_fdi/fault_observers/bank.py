@@ -249,6 +249,7 @@ class BankObserver(FaultObserver):
         ambiguous = unsure & (seen.mine > 1.0 - self.level) & ~certain
         declared = certain | ambiguous
         suspect = where(seen.mine > 0.5, samples.SUSPECT, samples.HEALTHY)
+        suspect = where(read.seen, suspect, samples.STARTING)
         faulty = where(state.calm > 0.0, samples.RECOVERING, samples.FAULTY)
         kind = where(absent, ABSENT, where(stuck, STUCK, OFFSET))
         age = where(state.faulty, state.age, where(stuck | absent, read.silence, 0.0))
