@@ -69,6 +69,7 @@ def _attitude_of_enu(value: Floats) -> Floats:
 _DEGREE = math.pi / 180.0  # rad
 _RATE = {"rad/s": 1.0, "deg/s": _DEGREE, "mrad/s": 1e-3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_SPEED = {f"{unit}/s": scale for unit, scale in _LENGTH.items()}
 _FORCE = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}
 _BODY: dict[str, Turn] = {"flu": _keep, "frd": flu_from_frd}
 _EARTH: dict[str, Turn] = {"enu": _keep, "ned": enu_from_ned}
@@ -81,7 +82,8 @@ QUANTITIES = {
     "attitude": Quantity("attitude", range(3, 5), {"rad": 1.0, "deg": _DEGREE, "1": 1.0}, _ATTITUDE),
     "body_rate": Quantity("body_rate", _THREE, _RATE, _BODY),
     "position": Quantity("position", _THREE, _LENGTH, _EARTH),
-    "velocity": Quantity("velocity", _THREE, {f"{unit}/s": si for unit, si in _LENGTH.items()}, _EARTH),
+    "velocity": Quantity("velocity", _THREE, _SPEED, _EARTH),
+    "gps_velocity": Quantity("gps_velocity", _THREE, _SPEED, _EARTH),
     "acceleration": Quantity("acceleration", _THREE, _FORCE, _EARTH),
     "rotor_speeds": Quantity("rotor_speeds", _ROTORS, {"rad/s": 1.0, "rpm": math.pi / 30.0}, {}),
     "rotor_commands": Quantity("rotor_commands", _ROTORS, {"1": 1.0, "%": 0.01, "us": 1.0}, {}),
