@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -60,15 +62,11 @@ def test_vector_comes_into_si_and_the_axes_of_ros(tmp_path, quantity, unit, fram
 
 def test_rotors_and_battery_come_into_shares_and_si(tmp_path):
     mapping = (
-        (
-            TIME
-            + signal("rotor_commands", "a b c d", "us", low=1000, high=2000)
-            + signal("rotor_speeds", "a b c d", "rpm")
-            + signal("battery", "e", "mV")
-            + signal("thrust_command", "e", "1")
-        )
-        .replace("low = 1000", "low = 1000.0")
-        .replace("high = 2000", "high = 2000.0")
+        TIME
+        + signal("rotor_commands", "a b c d", "us", low=1000, high=2000)
+        + signal("rotor_speeds", "a b c d", "rpm")
+        + signal("battery", "e", "mV")
+        + signal("thrust_command", "e", "1")
     )
     log = read(tmp_path, table_of("a b c d e", [1000, 1250, 1500, 2100, 12600]), mapping)
     assert log.rotor_commands is not None
@@ -109,8 +107,9 @@ def test_names_are_found_behind_other_lines_whatever_is_between_them(tmp_path, d
 
 def test_signals_of_different_rates_and_cells_that_are_no_numbers(tmp_path):
     rows: list[list[object]] = [["t", "x", "y", "z", "v"]]
-    for k in range(COUNT):
-        rows.append([0.01 * k, 1, "" if k == 7 else 2, "?" if k == 9 else 3, 12.0 if k % 10 == 0 else ""])
+    rows += [
+        [0.01 * k, 1, "" if k == 7 else 2, "?" if k == 9 else 3, "" if k % 10 else 12.0] for k in range(COUNT)
+    ]
     rows += [["", 1, 2, 3, ""], [3.5]]
     log = read(tmp_path, rows, TIME + signal("gyro", "x y z", "rad/s") + signal("battery", "v", "V"))
     assert len(log.gyros[""]) == COUNT
@@ -125,6 +124,14 @@ def test_second_gyro_has_a_name_and_time_a_unit(tmp_path):
     log = read(tmp_path, table_of("x y z", [1, 2, 3]), mapping + signal("gyro", "z y x", "rad/s", name="2"))
     np.testing.assert_array_equal(log.gyros["2"].value[0], [3.0, 2.0, 1.0])
     assert log.gyros[""].rate == pytest.approx(100_000.0)
+
+
+def test_example_of_the_documents_is_one(tmp_path):
+    document = next(each / "docs/diagnose.md" for each in Path(__file__).parents if (each / "docs").is_dir())
+    path = tmp_path / "mapping.toml"
+    path.write_text(document.read_text().split("```toml\n")[1].split("```")[0])
+    mapping = load_mapping(path)
+    assert [each.quantity for each in mapping.signal] == ["gyro", "rotor_commands"]
 
 
 def test_long_table_is_thinned(tmp_path, monkeypatch):
