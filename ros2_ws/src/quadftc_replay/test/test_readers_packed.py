@@ -6,10 +6,13 @@ import gzip
 import io
 import os
 import struct
+import subprocess
 import sys
+import time
 import zipfile
 
 import numpy as np
+import psutil
 import pytest
 import zstandard
 
@@ -170,7 +173,7 @@ def test_reader_that_misbehaves_is_stopped_and_named(tmp_path, monkeypatch, mapp
     assert f"{path}: the reader of a CSV with --mapping log {SAID[what]}" in str(caught.value)
 
 
-def test_log_that_makes_the_library_loop_is_refused(tmp_path, monkeypatch):
+def looping_log(path):
     # a ULog with many formats, and then a message whose length leads back to the first of them
     def message(kind: bytes, body: bytes, length: int | None = None) -> bytes:
         return struct.pack("<H", len(body) if length is None else length) + kind + body
@@ -179,14 +182,37 @@ def test_log_that_makes_the_library_loop_is_refused(tmp_path, monkeypatch):
     data = b"ULog\x01\x12\x35\x01" + bytes(8)
     while len(data) < 12_100:
         data += message(b"I", bytes([len(text)]) + text + b"abcd")
-    path = tmp_path / "log.ulg"
     path.write_bytes(data + message(b"\x01", b"xx", len(data) - 13))
+    return path
+
+
+def test_log_that_makes_the_library_loop_is_refused(tmp_path, monkeypatch):
+    path = looping_log(tmp_path / "log.ulg")
     monkeypatch.setattr(bounded, "processor_time", lambda _reader, _size: 3)
     with pytest.raises(BagError) as caught:
         read_bounded(path)
     assert str(caught.value) == (
         f"{path}: the reader of a PX4 ULog log was stopped: more than 3 s of processor time for 0.0121 MB"
     )
+
+
+def test_reader_ends_with_whom_it_reads_for(tmp_path):
+    path = looping_log(tmp_path / "log.ulg")
+    run = (
+        "import sys, pathlib, quadftc_replay.readers.bounded as b; b.read_bounded(pathlib.Path(sys.argv[1]))"
+    )
+    asking = subprocess.Popen([sys.executable, "-c", run, path])
+    children: list[psutil.Process] = []
+    deadline = time.monotonic() + 30.0
+    while not children and time.monotonic() < deadline:
+        time.sleep(0.1)
+        children = psutil.Process(asking.pid).children()
+    time.sleep(0.5)  # until it has begun
+    asking.kill()
+    asking.wait(10.0)
+    _, alive = psutil.wait_procs(children, 10.0)
+    assert children
+    assert alive == []
 
 
 def test_bounded_reader_gives_the_same_log_and_the_same_error(tmp_path, mapping):

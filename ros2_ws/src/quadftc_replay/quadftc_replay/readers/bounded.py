@@ -1,6 +1,6 @@
 """A reader in a process of its own, whose processor time, memory and output are in proportion to the file.
 
-    python -m quadftc_replay.readers.bounded SECONDS SIZE RESULT
+    python -m quadftc_replay.readers.bounded PARENT SECONDS SIZE RESULT
 
 reads a pickled function and its arguments from standard input, calls it, and pickles what it returns into
 RESULT. Libraries that decode what comes from outside may loop, fill the memory or crash on a damaged file;
@@ -9,6 +9,7 @@ then this process ends, and says on standard output what is wrong.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import pickle
 import resource
@@ -28,6 +29,7 @@ Read = TypeVar("Read")
 BAD_INPUT, NO_MEMORY = 2, 3  # exit codes
 MEGABYTE = 1e6  # bytes
 START, MARGIN = 10, 10  # s of processor time for any log, and how many times what its format takes
+END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 PATIENCE = 10  # s of waiting for a second of processor time, as on a busy machine
 # bytes that any log may have, and more of a byte of the log
 MEMORY, MEMORY_SHARE = 2 << 30, 4  # of address space, libraries among them
@@ -54,7 +56,7 @@ def _run(reader: Reader, path: Path, call: bytes, result: str) -> None:
     """Run the process; BagError if it could not read the log."""
     size = _size(path)
     seconds = processor_time(reader, size)
-    command = [sys.executable, "-m", __name__, str(seconds), str(size), result]
+    command = [sys.executable, "-m", __name__, *map(str, (os.getpid(), seconds, size)), result]
     what = f"{path}: the reader of a {reader.name} log"
     try:
         done = subprocess.run(
@@ -115,7 +117,11 @@ def limit_resources(seconds: int, size: int) -> None:
 
 def main(arguments: list[str]) -> int:
     """Call the function from standard input with the limits of the command line."""
-    seconds, size, result = int(arguments[0]), int(arguments[1]), Path(arguments[2])
+    parent, seconds, size = map(int, arguments[:3])
+    result = Path(arguments[3])
+    ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
+    if os.getppid() != parent:  # it ended before
+        return BAD_INPUT
     try:
         read, given = pickle.load(sys.stdin.buffer)
         limit_resources(seconds, size)
