@@ -1,0 +1,216 @@
+"""Hypotheses of the observer bank: equal to a second Kalman filter that knows the fault; and their onsets."""
+
+import numpy as np
+import pytest
+
+from quadftc_fdi.bank import inference, modes, motion
+from quadftc_fdi.bank.inference import FIRST, OF_ATTITUDE, OF_GYRO, SLOTS, SPACING
+from quadftc_fdi.bank.motion import BETA, OMEGA, THETA, D
+from quadftc_fdi.bank.noise import Noise
+from quadftc_model.rotations import rotation_between, turn
+
+DT, ONSET, ROWS, SLOT = 0.01, 30, 90, 0  # s; the slot that the first onset takes
+NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.03)))
+WALK, AXIS = 0.02, 0  # rad/s/sqrt(s)
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+THERE = np.ones(3, bool)
+
+
+def readings(kind, size, slope, repeats_gyro):
+    """Known acceleration, gyro and angle (ROWS,) of one axis with a fault from `ONSET` on."""
+    rng = np.random.default_rng(3)
+    known = 0.5 * np.sin(np.arange(ROWS))
+    elapsed = (np.arange(ROWS) - ONSET) * DT
+    fault = np.where(elapsed >= 0.0, size + slope * elapsed, 0.0)
+    pushed = np.where(elapsed > 0.0, size, 0.0) * (kind == modes.PUSH)
+    rate = np.cumsum(known + pushed) * DT
+    gyro = rate + 0.02 * rng.standard_normal(ROWS) + fault * (kind == modes.GYRO)
+    told = gyro if repeats_gyro else rate
+    angle = np.cumsum(told) * DT + 0.01 * rng.standard_normal(ROWS) + fault * (kind == modes.ATTITUDE)
+    return known, gyro, angle
+
+
+class SecondFilter:
+    """Kalman filter of one axis by the equations of docs/bank.md; it has size and slope as states, too."""
+
+    def __init__(self, P, kind):
+        self.x, self.P, self.kind, self.log_likelihood = np.zeros(6), np.zeros((6, 6)), kind, 0.0
+        self.P[:4, :4] = P
+        self.age = -1.0
+
+    def begin(self, prior):
+        self.age = 0.0
+        self.P[4:, 4:] = np.diag(prior)
+        if self.kind == modes.PUSH:
+            self.move(np.eye(6) + np.outer(np.eye(6)[D], np.eye(6)[4]))
+
+    def move(self, F, driven=0.0, Q=0.0):
+        self.x, self.P = F @ self.x + driven, F @ self.P @ F.T + Q
+
+    def predict(self, known, gyro, repeats_gyro):
+        F, keep, driven = np.eye(6), np.exp(-DT / motion.CORRELATED), np.zeros(6)
+        F[OMEGA, D], F[D, D], driven[OMEGA] = DT, keep, DT * known
+        if repeats_gyro:
+            F[THETA, BETA], driven[THETA] = -DT, DT * gyro
+        else:
+            F[THETA, [OMEGA, D]], driven[THETA] = (DT, 0.5 * DT**2), 0.5 * DT**2 * known
+        drive = NOISE.unknown[0] * (1.0 - keep**2)
+        Q = np.diag([NOISE.wander[0] * DT, WALK**2 * DT, drive * DT**2 / 3.0, drive, 0.0, 0.0])
+        self.move(F, driven, Q)
+        self.age += DT if self.age >= 0.0 else 0.0
+
+    def measure(self, H, reading, variance, sensor):
+        if self.age >= 0.0 and self.kind == sensor:
+            H = H + np.array([0.0, 0.0, 0.0, 0.0, 1.0, self.age])
+        e, V = reading - H @ self.x, H @ self.P @ H + variance
+        self.log_likelihood -= 0.5 * (e * e / V + np.log(V))
+        K = self.P @ H / V
+        self.x, self.P = self.x + K * e, self.P - np.outer(K, H @ self.P)
+
+
+def without_sensor_errors(state):
+    """A motion whose scale and lag are known: then all is linear."""
+    known = np.arange(motion.STATES) < motion.SCALE.start
+    return state._replace(covariance=state.covariance * known[:, None] * known)
+
+
+def fly_bank(known, gyro, angle, repeats_gyro):
+    """Motion and bank after all readings, one onset taken at `ONSET`."""
+    e = np.eye(3)[AXIS]
+    state = without_sensor_errors(motion.start_motion(LEVEL, np.zeros(3), NOISE))
+    bank = inference.start_bank(np.zeros(3))
+    for row in range(ROWS):
+        mean = gyro[row] * e
+        given = known[row] * e, np.True_, mean, np.full(3, WALK), NOISE, repeats_gyro, DT
+        state = motion.predict(state, *given)
+        bank = inference.move(bank, state.rate, repeats_gyro, DT)
+        bank = one_onset(bank, row == ONSET)
+        state, bank = measure(state, bank, mean, turn(LEVEL, angle[row] * e))
+    return state, bank
+
+
+def one_onset(bank, now):
+    """Let all hypotheses grow older; begin an onset in each ring, or in none."""
+    bank = bank._replace(since=np.full(3, 1.0 if now else -1.0))
+    return inference.open_slots(bank, np.zeros(sum(SLOTS)), DT)
+
+
+def measure(state, bank, gyro, q_xyzw):
+    """Take a reading of the gyro and one of the attitude, near level: faults turn about body axes."""
+    S = inference.of_gyro(bank, state.rate, modes.pattern(modes.GYRO))
+    state, seen = motion.take_gyro(state, gyro, NOISE.gyro, THERE)
+    bank = inference.weigh(bank, OF_GYRO, seen, S)
+    S = inference.of_attitude(bank, state.rate, modes.pattern(modes.ATTITUDE))
+    state, seen = motion.take_attitude(state, q_xyzw, NOISE.attitude, THERE)
+    return state, inference.weigh(bank, OF_ATTITUDE, seen, S)
+
+
+@pytest.mark.parametrize("repeats_gyro", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "size", "slope"),
+    [(modes.ATTITUDE, 0.03, 0.02), (modes.GYRO, -0.1, 0.1), (modes.PUSH, 4.0, 0.0)],
+)
+def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeats_gyro, monkeypatch):
+    """Separate-bias theorem: state, covariance and likelihood ratio are those of the larger filter."""
+    monkeypatch.setattr(motion, "SMEAR", 0.0)  # noise that grows with the rate is not linear
+    monkeypatch.setattr(motion, "JITTER", 0.0)
+    known, gyro, angle = readings(kind, size, slope, repeats_gyro)
+    state, bank = fly_bank(known, gyro, angle, repeats_gyro)
+    believed = inference.believe(bank._replace(temper=np.ones_like(bank.temper)))
+    start = motion.start_motion(LEVEL, np.zeros(3), NOISE).covariance[AXIS, :4, :4]
+    mode = 3 * kind + AXIS
+    knows, healthy = SecondFilter(start, kind), SecondFilter(start, None)
+    for row in range(ROWS):
+        for each in (knows, healthy):
+            each.predict(known[row], gyro[row], repeats_gyro)
+            if row == ONSET and each is knows:
+                each.begin(modes.PRIOR[mode])
+            each.measure(np.eye(6)[BETA] + np.eye(6)[OMEGA], gyro[row], NOISE.gyro[0], modes.GYRO)
+            each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
+    assert not state.loud.any()  # no reading was taken for a loud one
+    evidence = believed.log_weight[mode, SLOT] - inference.USUAL[mode, SLOT]
+    assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
+    assert evidence > 3.0 or repeats_gyro  # it was seen; an attitude that repeats a gyro's fault hides it
+    b, U = believed.b[:, mode, SLOT], bank.U[:4, AXIS, :, mode, SLOT]
+    assert b == pytest.approx(knows.x[4:], rel=1e-6, abs=1e-9)
+    angle_now = 2.0 * np.arctan2(state.q_xyzw[AXIS], state.q_xyzw[3])
+    x = np.array([angle_now, state.bias[AXIS], state.rate[AXIS], state.unknown[AXIS]])
+    assert x + U @ b == pytest.approx(knows.x[:4], rel=1e-6, abs=1e-8)
+    first, mixed, last = believed.covariance[:, mode, SLOT]
+    spread = np.array([[first, mixed], [mixed, last]])
+    assert spread == pytest.approx(knows.P[4:, 4:], rel=1e-6)
+    P = state.covariance[AXIS, :4, :4] + U @ spread @ U.T
+    assert pytest.approx(knows.P[:4, :4], rel=1e-6, abs=1e-12) == P
+
+
+@pytest.mark.parametrize("kind", [modes.ATTITUDE, modes.GYRO])
+@pytest.mark.parametrize("repeats_gyro", [False, True])
+def test_a_hypothesis_knows_how_axes_are_coupled_in_a_turn(kind, repeats_gyro):
+    """U is by how much, per size of the fault, a filter with it differs from one without."""
+    size, turning = 1e-5, np.array([0.8, -0.5, 0.3])
+    by_attitude, by_gyro = (np.eye(3)[1] * size * (kind == each) for each in (modes.ATTITUDE, modes.GYRO))
+    healthy = faulty = motion.start_motion(LEVEL, turning, NOISE)
+    bank, q_xyzw = inference.start_bank(np.zeros(3)), LEVEL
+    for row in range(40):
+        q_xyzw = turn(q_xyzw, turning * DT)
+        given = np.zeros(3), np.True_, turning, np.full(3, WALK), NOISE, repeats_gyro, DT
+        faulty = motion.predict(faulty, *given)
+        faulty, _ = motion.take_gyro(faulty, turning + by_gyro, NOISE.gyro, THERE)
+        faulty, _ = motion.take_attitude(faulty, turn(q_xyzw, by_attitude), NOISE.attitude, THERE)
+        healthy = motion.predict(healthy, *given)
+        bank = one_onset(inference.move(bank, healthy.rate, repeats_gyro, DT), row == 0)
+        healthy, bank = measure(healthy, bank, turning, q_xyzw)
+    moved = [
+        rotation_between(faulty.q_xyzw, healthy.q_xyzw),
+        *(getattr(healthy, name) - getattr(faulty, name) for name in ("bias", "rate", "unknown")),
+    ]
+    U = bank.U[:4, :, 0, 3 * kind + 1, SLOT]  # (states, axes)
+    assert np.array(moved) / size == pytest.approx(U, rel=0.0, abs=0.002)
+    assert abs(U[THETA, 1]) > 0.01
+
+
+def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
+    bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
+    believed = inference.believe(inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0))
+    for row, kind in enumerate(modes.KINDS):
+        for axis in range(3):
+            mode = 3 * row + axis
+            assert (modes.KIND[mode], modes.AXIS[mode]) == (row, axis)
+            for ring, spacing in enumerate(SPACING):
+                slot = FIRST[ring]
+                p = kind.rate / 3600.0 * spacing  # that it began in the time that the slot stands for
+                assert believed.log_weight[mode, slot] == pytest.approx(np.log(p))
+                assert believed.covariance[:, mode, slot] == pytest.approx([kind.size**2, 0.0, kind.slope**2])
+    began = believed.log_weight > inference.LOWEST
+    assert began.sum() == modes.MODES * len(SPACING)
+
+
+def ages(worth, seconds=6.0, dt=0.004):
+    """Ages of the onsets of each ring in the end; ``worth`` is that of slots by when they began [s]."""
+    bank, now = inference.start_bank(np.zeros(3)), 0.0
+    for _ in range(round(seconds / dt)):
+        age = bank.age[0]
+        bank = inference.open_slots(bank, np.where(age >= 0.0, worth(now - age), inference.LOWEST), dt)
+        now += dt
+    return [np.sort(bank.age[0, FIRST[k] : FIRST[k + 1]]) for k in range(len(SLOTS))]
+
+
+@pytest.mark.parametrize("likely", [0.0, -5.0])
+def test_the_oldest_onset_goes_where_nothing_is_likely(likely):
+    for row, spacing, slots in zip(ages(lambda began: 0.0 * began + likely), SPACING, SLOTS, strict=True):
+        steps = np.ceil(spacing / 0.004 - 1e-6) * 0.004
+        assert np.diff(row) == pytest.approx(np.full(slots - 1, steps), abs=1e-9)
+        assert row[0] < steps
+
+
+def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
+    fast, *_ = ages(lambda began: 8.0 * (abs(began - 1.0) < 0.003))
+    assert fast[-1] == pytest.approx(5.0, abs=0.006)
+    assert fast[:-1] == pytest.approx(np.arange(len(fast) - 1) * 0.004, abs=1e-9)
+
+
+def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
+    bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
+    bank = inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0)
+    gone = inference.forget(bank, np.array([False, True, False])).age < 0.0
+    assert np.array_equal(gone, (modes.AXIS == 1)[:, None] | (bank.age < 0.0))

@@ -1,0 +1,82 @@
+"""The noise that the observer bank learns: of a vehicle whose noise is known."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from in_c import fly_arrays
+
+from quadftc_fdi.bank import noise
+from quadftc_model.arrays import namespace, rows_of
+from quadftc_model.rotations import turn
+
+DEG = np.pi / 180.0
+SECONDS, VEHICLES = 20.0, 8
+CORRELATED, DAMPING = 1.0, 3.0  # s, 1/s; of the unknown acceleration, of the known one against the rate
+
+
+class Readings(NamedTuple):
+    gyro: np.ndarray
+    known: np.ndarray
+    q_xyzw: np.ndarray
+    good: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Learner:
+    """Learning as a law: its output is the noise."""
+
+    def init(self, inputs):
+        return noise.start_learning(inputs.q_xyzw, inputs.gyro), inputs
+
+    def step(self, state, inputs, dt):
+        learning, last = state
+        good = inputs.good & (namespace(inputs.gyro).zeros_like(inputs.gyro) < 1.0)
+        pairs = inputs.gyro, last.gyro, inputs.known, inputs.q_xyzw, last.q_xyzw
+        learning = noise.learn(learning, *pairs, good, good, dt)
+        return (learning, inputs), noise.noise_of(learning)
+
+
+def readings(dt, gyro, unknown, attitude, wander):
+    """Vehicles in gusts (samples, vehicles, ...); standard deviations [rad/s, rad/s², rad, rad/sqrt(s)]."""
+    rng, shape = np.random.default_rng(1), (round(SECONDS / dt), VEHICLES, 3)
+    keep = np.exp(-dt / CORRELATED)
+    gusts = unknown * np.sqrt(1.0 - keep**2) * rng.standard_normal(shape)
+    drift = wander * np.sqrt(dt) * rng.standard_normal(shape)
+    q_xyzw, rate, pushed = np.tile([0.0, 0.0, 0.0, 1.0], (VEHICLES, 1)), np.zeros(shape[1:]), 0.0
+    turns, rates, known = np.empty((*shape[:2], 4)), np.empty(shape), np.empty(shape)
+    for k in range(shape[0]):
+        pushed = keep * pushed + gusts[k]
+        known[k] = -DAMPING * rate
+        after = rate + (known[k] + pushed) * dt
+        q_xyzw, rate = turn(q_xyzw, 0.5 * (rate + after) * dt + drift[k]), after
+        turns[k], rates[k] = q_xyzw, rate
+    turns = turn(turns, attitude * rng.standard_normal(shape))
+    rates += gyro * rng.standard_normal(shape)
+    return Readings(rates, known, turns, np.ones(shape[:2], bool))
+
+
+@pytest.mark.parametrize("rate", [100.0, 250.0, 1000.0])
+def test_white_noise_unknown_acceleration_and_wander_are_told_apart(rate):
+    truth = {"gyro": 0.003, "unknown": 0.5, "attitude": 0.1 * DEG, "wander": 0.5 * DEG}
+    seen = readings(1.0 / rate, **truth)
+    flown = [fly_arrays(Learner(), rows_of(seen, (slice(None), k)), 1.0 / rate)[1] for k in range(VEHICLES)]
+    found = {
+        name: np.sqrt(np.mean([getattr(each, name)[-1] for each in flown])) for name in noise.Noise._fields
+    }
+    # half of the wander from sample to sample looks white, and the drift that is taken off is in part d
+    truth["attitude"] = np.hypot(truth["attitude"], truth["wander"] * np.sqrt(0.5 / rate))
+    for name, within in {"gyro": 0.02, "unknown": 0.15, "attitude": 0.03, "wander": 0.2}.items():
+        assert found[name] == pytest.approx(truth[name], rel=within), name
+
+
+def test_a_fault_that_has_not_been_found_teaches_little():
+    seen = rows_of(readings(0.004, 0.003, 0.5, 0.1 * DEG, 0.5 * DEG), (slice(None), 0))
+    elapsed = np.arange(len(seen.gyro)) * 0.004 - 15.0
+    jumps = seen._replace(gyro=seen.gyro + 0.5 * (elapsed >= 0.0)[:, None])
+    healthy, faulty = (fly_arrays(Learner(), each, 0.004)[1] for each in (seen, jumps))
+    after = int(np.argmax(elapsed > 0.3))  # the jump is behind both lags
+    for name in noise.Noise._fields:
+        was, now = (np.sqrt(getattr(each, name)[after]) for each in (healthy, faulty))
+        assert np.all(now < 1.5 * was), name
