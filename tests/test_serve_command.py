@@ -176,7 +176,7 @@ def test_table_is_judged_by_the_mapping_that_is_chosen(tmp_path):
         assert job.verdict.judged == ("gyro",)
         jobs.choose(job.id, 2, 0, MAPPING)
         await asyncio.gather(*jobs._tasks.values())
-        assert "--log 2: flight.csv is a CSV with --mapping log, which takes no --log" in job.message
+        assert "--log 2: flight.csv is a CSV log, which takes no --log" in job.message
 
     asyncio.run(judge())
 

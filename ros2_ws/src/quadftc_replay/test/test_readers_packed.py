@@ -64,7 +64,7 @@ def test_what_is_no_log_is_named(tmp_path, content, name):
 def test_option_that_a_format_does_not_take_is_refused(tmp_path, mapping):
     path = tmp_path / "flight.csv"
     path.write_text(TABLE)
-    with pytest.raises(BagError, match=r"--system 1: .*flight.csv is a CSV .* log, which takes no --system"):
+    with pytest.raises(BagError, match=r"--system 1: .*flight.csv is a CSV log, which takes no --system"):
         find_reader(path, mapping._replace(system=1))
 
 
@@ -170,7 +170,7 @@ def test_reader_that_misbehaves_is_stopped_and_named(tmp_path, monkeypatch, mapp
     path.write_text(TABLE)
     with pytest.raises(BagError) as caught:
         read_bounded(path, mapping)
-    assert f"{path}: the reader of a CSV with --mapping log {SAID[what]}" in str(caught.value)
+    assert f"{path}: the reader of a CSV log {SAID[what]}" in str(caught.value)
 
 
 def looping_log(path):

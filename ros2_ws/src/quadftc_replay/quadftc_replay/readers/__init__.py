@@ -80,7 +80,7 @@ READERS = (
     Reader("blackbox", is_blackbox, "blackbox", 0.1, "log"),
     Reader("Crazyflie uSD", begins(b"\xbc\x01\x00", b"\xbc\x02\x00"), "crazyflie", 0.1),
 )
-TABLE = Reader("CSV with --mapping", is_text, "table", 0.1, "mapping")
+TABLE = Reader("CSV", is_text, "table", 0.1, "mapping")
 
 
 def find_reader(path: Path, choice: LogChoice = ONLY_ONE) -> Reader:
@@ -92,7 +92,7 @@ def find_reader(path: Path, choice: LogChoice = ONLY_ONE) -> Reader:
         known = [TABLE] if choice.mapping and is_text(head) else READERS
         reader = next((each for each in known if each.knows(head)), None)
         if reader is None:
-            names = ", ".join(each.name for each in (*READERS, TABLE))
+            names = ", ".join(each.name for each in (*READERS, TABLE)) + " with --mapping"
             raise BagError(f"{path}: {name_content(head)}; expected a log of one of the formats {names}")
     for option, value in choice._asdict().items():
         if value and option != reader.option:
