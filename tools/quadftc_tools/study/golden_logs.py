@@ -20,8 +20,8 @@ from quadftc_cli.screen import say
 from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log
 
 GOLDEN = Path(__file__).resolve().parents[3] / "tests" / "golden" / "logs.json"
-FOLDERS = ("ardupilot", "broad", "cases", "crazyflie", "px4")
-ENDINGS = (".bin", ".ulg", ".mcap", "")
+FOLDERS = ("ardupilot", "blackbox", "broad", "cases", "crazyflie", "px4")
+ENDINGS = (".bin", ".bbl", ".tlog", ".ulg", ".mcap", "")
 SHOWN = 3  # findings of a log
 
 

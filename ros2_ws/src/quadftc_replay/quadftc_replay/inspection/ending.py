@@ -1,7 +1,7 @@
 """How a flight ends: landed, switched off in the air, flown into the ground, out of control, or with the log.
 
 A vehicle is out of control when it tilts beyond `UPSET` and, while it does, an output is at its limit against
-its opposite, or an impact follows.
+its opposite, or it turns against the torque that is asked for, or an impact follows.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from quadftc_model.rotations import earth_z_in_body
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, rotor_level
+from quadftc_replay.inspection.rotor_step import torque_of
 from quadftc_replay.inspection.whitening import Floats, runs_of
 
 UPSET = np.radians(60.0)  # tilt
 LASTS = 0.2  # s; of the tilt
 SOON = 10.0  # s; from upset to impact
+ASKED = 0.2  # 1; share of the thrust that makes a torque which a vehicle has to follow
 AT_LIMIT = 0.95  # 1; of the range of an output
 STOPPED = 0.3  # 1; of the usual thrust, below which a multirotor falls
 FALLS = 3.0  # m/s; no landing is that fast
@@ -73,6 +75,8 @@ def upset_at(flight: Flight) -> float | None:
         crashes = flight.crash is not None and flight.crash - start < SOON
         if crashes or (end - start >= LASTS and _at_limits(log.rotor_commands, start - LASTS, end)):
             return start
+        if end - start >= LASTS and _turns_against(flight, start - SOON, end):
+            return start
     return None
 
 
@@ -96,6 +100,19 @@ def _at_limits(commands: Signal | None, start: float, end: float) -> bool:
         if len(part)
         else False
     )
+
+
+def _turns_against(flight: Flight, start: float, end: float) -> bool:
+    """Whether the vehicle turns ever faster against the torque that is asked for."""
+    torque = torque_of(flight)
+    if torque is None:
+        return False
+    alpha, rate = torque.columns[..., 0], torque.columns[..., 2]
+    against = np.linalg.norm(torque.asked, axis=1) > ASKED
+    against &= (np.sum(torque.asked * alpha, axis=1) < 0.0) & (np.sum(torque.asked * rate, axis=1) < 0.0)
+    against &= (torque.time > start) & (torque.time < end)
+    runs = runs_of(against)
+    return any(float(torque.time[run.stop - 1] - torque.time[run.start]) >= LASTS for run in runs)
 
 
 def _stopped_at(flight: Flight, impact: float | None) -> float | None:

@@ -23,12 +23,13 @@ from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.rotor_trim import effects
 from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask
 
-WINDOWS = (0.3, 1.0)  # s; over which r has moved
+WINDOWS = (0.15, 0.3, 1.0)  # s; over which r has moved
 BEFORE, KNOWN = 2.0, 1.0  # s; over which it was known, and at least
 FASTEST = 100.0  # Hz; of commands that are used
 FEWEST = 3  # commands in a window
 FLOOR = 0.01  # 1; standard deviation of r, at least: that of Crazyflies from flight to flight
 LEVEL = 4.0  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 2.7
+SOONER = 0.3  # s; by which a loss may begin before it is seen
 CANDIDATE = 3.0  # standard deviations; of a step that the model of all before it has to confirm
 LEAST, MOST = 0.2, 2.0  # 1; share of the rotor's thrust
 ASIDE = 0.5  # 1; of what r moves by, that may point elsewhere
@@ -172,9 +173,9 @@ def find_step(flight: Flight) -> tuple[RotorStep | None, float | None]:
         for _ in range(ROUNDS):
             if step is None:
                 break
-            again = search(torque, *_model(torque, step.onset - WINDOWS[0], step))
+            again = search(torque, *_model(torque, step.onset - SOONER, step))
             is_same = again is not None and again.rotor == step.rotor
-            if again is not None and is_same and abs(again.onset - step.onset) < WINDOWS[0]:
+            if again is not None and is_same and abs(again.onset - step.onset) < SOONER:
                 return again._replace(onset=_begins_to_turn(flight, torque, again)), shows
             step = again
     return None, shows
