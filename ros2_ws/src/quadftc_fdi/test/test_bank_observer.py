@@ -1,0 +1,208 @@
+"""The observer bank on a vehicle that hovers in gusts: what it names, and what it takes for no fault."""
+
+import functools
+
+import numpy as np
+import pytest
+from in_c import fly_arrays
+
+from quadftc_fdi.fault_observer import is_usable_estimate
+from quadftc_fdi.fault_observers.bank import BankObserver
+from quadftc_model.arrays import rows_of
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
+from quadftc_model.samples import (
+    ALARMS,
+    FAULT_KINDS,
+    FAULTY,
+    FaultObserverInputs,
+    ImuSample,
+    level_sample,
+)
+from quadftc_model.vehicle import load_vehicle
+
+DEG = np.pi / 180.0
+DT, SECONDS, ONSET = 0.004, 10.0, 6.0  # s
+ROWS, FIRST = round(SECONDS / DT), round(ONSET / DT)
+TIME = np.arange(ROWS) * DT
+ELAPSED = np.maximum(TIME - ONSET, 0.0)[:, None]
+ON = TIME >= ONSET
+STIFF, DAMPED = 60.0, 12.0  # 1/s², 1/s; of the controller
+SENSORS = ("attitude", "gyro")
+QBALL = load_vehicle("qball_x4")
+OFFSET, STUCK, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "absent"))
+
+
+@functools.cache
+def hovering(seed=1, push=(0.0, 0.0, 0.0), seconds=SECONDS):
+    """Samples of a vehicle in gusts of 0.5 rad/s², with a push [rad/s²] for 0.3 s from `ONSET` on."""
+    rng, count = np.random.default_rng(seed), round(seconds / DT)
+    keep = np.exp(-DT)
+    noise = rng.standard_normal((3, count, 3))
+    q_xyzw, rate, gust = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)
+    told, seen, torque = np.empty((count, 4)), np.empty((count, 3)), np.empty((count, 3))
+    wanted = np.zeros(3)
+    for k in range(count):
+        gust = keep * gust + 0.5 * np.sqrt(1.0 - keep**2) * noise[0, k]
+        pushed = np.array(push) * (0.0 <= k * DT - ONSET < 0.3)
+        after = rate + (wanted + gust + pushed) * DT
+        q_xyzw, rate = turn(q_xyzw, 0.5 * (rate + after) * DT), after
+        torque[k] = wanted * QBALL.inertia
+        told[k], seen[k] = turn(q_xyzw, 0.1 * DEG * noise[1, k]), rate + 0.002 * noise[2, k]
+        wanted = -STIFF * euler_from_quaternion(told[k]) - DAMPED * seen[k]
+    there, force = np.ones(count, bool), np.tile(level_sample().specific_force, (count, 1))
+    imu = ImuSample(told, seen, force, there, there, there)
+    return FaultObserverInputs(imu, torque, driven=there)
+
+
+def with_imu(flight, **channels):
+    return flight._replace(imu=flight.imu._replace(**channels))
+
+
+def with_fault(sensor, fault):
+    """A flight with a fault (ROWS, 3) of a sensor [rad, rad/s]."""
+    flight = hovering()
+    if sensor == "gyro":
+        return with_imu(flight, body_rate=flight.imu.body_rate + fault)
+    return with_imu(flight, q_xyzw=quaternion_from_euler(euler_from_quaternion(flight.imu.q_xyzw) + fault))
+
+
+def said_of(flight, vehicle=QBALL):
+    """What the observer says of attitude and gyro, arrays (ROWS, ...)."""
+    estimate = fly_arrays(BankObserver(vehicle=vehicle), flight, DT)[1]
+    assert np.all(is_usable_estimate(estimate))
+    return {name: getattr(estimate.sensors, name) for name in SENSORS}
+
+
+def alarms(said):
+    """Who is named at some time after the start, and who is ambiguous: sets of sensor and axis."""
+    found = set(), set()
+    for name, each in said.items():
+        alarm = np.isin(each.state, ALARMS)
+        for kind, rows in zip(found, (alarm & ~each.ambiguous, alarm & each.ambiguous), strict=True):
+            kind.update((name, axis) for axis in range(3) if rows[250:, axis].any())
+    return found
+
+
+def test_a_healthy_flight_has_no_alarm():
+    assert alarms(said_of(hovering(2, seconds=20.0))) == (set(), set())
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize(
+    ("sensor", "size", "power", "within"),
+    [
+        ("gyro", 0.3, 0, 0.012),
+        ("gyro", -0.08, 0, 0.1),
+        ("gyro", 0.2, 1, 0.6),
+        ("attitude", -3.0 * DEG, 0, 0.012),
+        ("attitude", 3.0 * DEG, 1, 2.0),
+    ],
+)
+def test_a_step_or_ramp_is_named_with_its_sensor_axis_sign_and_size(sensor, axis, size, power, within):
+    fault = size * (ELAPSED**power * ON[:, None]) * np.eye(3)[axis]
+    said = said_of(with_fault(sensor, fault))
+    assert alarms(said)[0] == {(sensor, axis)}
+    each = said[sensor]
+    named = np.isin(each.state, ALARMS)[:, axis] & ~each.ambiguous[:, axis]
+    first = int(np.argmax(named))
+    assert 0 <= first - FIRST <= round(within / DT)
+    assert named[first:].all()
+    assert np.all(each.kind[first:, axis] == OFFSET)
+    settled = slice(first + round(0.1 / DT), first + round(1.0 / DT))
+    apart = each.size[settled, axis] - fault[settled, axis]
+    # sigma of a gyro is that of a reading, not of its wandering bias
+    bound = 3.0 * each.std_dev[settled, axis] if sensor == "attitude" else 0.06
+    assert np.mean(abs(apart) < bound) > 0.99
+    assert np.all(np.sign(each.size[settled, axis]) == np.sign(size))
+
+
+@pytest.mark.parametrize("push", [(3.0, 0.0, 0.0), (0.0, -8.0, 0.0), (0.0, 0.0, 5.0), (6.0, 6.0, 0.0)])
+def test_a_push_accuses_nobody(push):
+    assert alarms(said_of(hovering(3, push))) == (set(), set())
+
+
+@pytest.mark.parametrize(("sensor", "channel"), [("gyro", "body_rate"), ("attitude", "q_xyzw")])
+def test_a_sensor_that_repeats_itself_is_stuck(sensor, channel):
+    read = getattr(hovering().imu, channel)
+    ends = TIME >= ONSET + 1.0
+    held = np.where((ON & ~ends)[:, None], read[FIRST], read)
+    said = said_of(with_imu(hovering(), **{channel: held}))
+    each, rows = said[sensor], slice(FIRST + 50, FIRST + 250)
+    assert np.all(each.state[rows] == FAULTY)
+    assert np.all(each.kind[rows] == STUCK)
+    assert not np.isin(said["gyro" if sensor == "attitude" else "attitude"].state, ALARMS).any()
+    assert not np.isin(each.state[FIRST + 500 :], ALARMS).any()
+
+
+@pytest.mark.parametrize(("sensor", "there"), [("gyro", "rate_valid"), ("attitude", "attitude_valid")])
+def test_a_sensor_without_readings_is_absent(sensor, there):
+    silent = ~(ON & (TIME < ONSET + 1.0))
+    said = said_of(with_imu(hovering(), **{there: silent}))
+    each, rows = said[sensor], slice(FIRST + 4, FIRST + 250)
+    assert np.all(each.state[rows] == FAULTY)
+    assert np.all(each.kind[rows] == ABSENT)
+    assert not np.isin(said["gyro" if sensor == "attitude" else "attitude"].state, ALARMS).any()
+    assert not np.isin(each.state[FIRST + 500 :], ALARMS).any()
+
+
+@pytest.mark.parametrize(("sensor", "size"), [("gyro", 0.3), ("gyro", -0.1), ("attitude", 3.0 * DEG)])
+def test_a_fault_that_ends_is_over_within_a_second(sensor, size):
+    ends = FIRST + round(1.5 / DT)
+    fault = size * (ON & (np.arange(ROWS) < ends))[:, None] * np.eye(3)[1]
+    said = said_of(with_fault(sensor, fault))
+    assert alarms(said)[0] == {(sensor, 1)}
+    named = np.isin(said[sensor].state, ALARMS)[:, 1]
+    assert named[ends - 1]
+    assert not named[ends + round(1.0 / DT) :].any()
+
+
+def test_a_torque_that_is_not_the_vehicles_accuses_no_attitude():
+    flight = hovering()
+    said = said_of(flight._replace(torque=hovering(4).torque + 0.02))
+    assert {name for name, _ in set.union(*alarms(said))} <= {"gyro"}
+
+
+@pytest.mark.parametrize("share", [0.5, 1.5])
+def test_a_wrong_inertia_accuses_nobody(share):
+    flight = hovering()
+    assert alarms(said_of(flight._replace(torque=share * flight.torque))) == (set(), set())
+
+
+def test_a_constant_that_dithers_below_the_noise_is_stuck():
+    read, dither = hovering().imu.body_rate, 2e-6 * np.random.default_rng(1).integers(2, size=(ROWS, 3))
+    said = said_of(with_imu(hovering(), body_rate=np.where(ON[:, None], read[FIRST] + dither, read)))
+    assert np.all(said["gyro"].kind[FIRST + 50 :] == STUCK)
+
+
+def test_a_coarse_sensor_at_rest_is_healthy():
+    """Half of the readings repeat the last, as the noise is half of the resolution."""
+    rng, there = np.random.default_rng(1), np.ones(ROWS, bool)
+    told = quaternion_from_euler(0.1 * DEG * rng.standard_normal((ROWS, 3)))
+    rate = np.round(0.5 * rng.standard_normal((ROWS, 3))) * 1e-3
+    imu = hovering().imu._replace(q_xyzw=told, body_rate=rate)
+    said = said_of(FaultObserverInputs(imu, np.zeros((ROWS, 3)), driven=there))
+    assert alarms(said) == (set(), set())
+
+
+def test_vehicles_together_are_as_one_by_one():
+    both = with_fault("gyro", 0.4 * (TIME >= 20 * DT)[:, None] * np.eye(3)[0]), hovering(5)
+    law = BankObserver(vehicle=QBALL)
+    together = FaultObserverInputs(
+        ImuSample(*(np.stack(pair, axis=1) for pair in zip(*(each.imu for each in both), strict=True))),
+        np.stack([each.torque for each in both], axis=1),
+        driven=np.stack([each.driven for each in both], axis=1),
+    )
+    last = []
+    for flight in (together, *both):
+        state = law.init(rows_of(flight, 0))
+        for k in range(40):
+            state, estimate = law.step(state, rows_of(flight, k), DT if k else 0.0)
+        last.append((state.bank, state.motion, estimate.sensors.gyro, estimate.corrected))
+    assert last[1][2].state.tolist() != last[2][2].state.tolist()  # the first has a fault
+    for k in range(2):
+        for joint, own in zip(flat(last[0]), flat(last[1 + k]), strict=True):
+            assert np.allclose(joint[k], own, rtol=1e-9, atol=1e-12)
+
+
+def flat(tree):
+    return [leaf for part in tree for leaf in flat(part)] if isinstance(tree, tuple) else [tree]
