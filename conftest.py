@@ -48,6 +48,8 @@ SLOW_FILES = {
     "test_augmented_kalman.py",
     "test_bad_messages.py",
     "test_bag_repair.py",
+    "test_bank_noise.py",
+    "test_bank_observer.py",
     "test_batch_engine.py",
     "test_batch_free_flight.py",
     "test_bench_batch.py",
