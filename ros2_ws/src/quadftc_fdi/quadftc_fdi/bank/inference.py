@@ -178,8 +178,8 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
 
 def believe(state: Bank) -> Posterior:
     """Return the posterior of size and slope, and the weight of mode and onset."""
-    share = 1.0 / state.temper[..., AXIS, :][..., RING]  # (..., 2, modes, slots)
-    J, d = ((part * share[..., None, :, :]).sum(axis=-4) for part in (state.J, state.d))
+    share = 1.0 / state.temper.max(axis=-1)[..., AXIS]  # (..., 2, modes); alike for all onsets
+    J, d = ((part * share[..., None, :, None]).sum(axis=-4) for part in (state.J, state.d))
     evidence, b, covariance = _solved(J, d, PRIOR)
     return Posterior(where(state.age >= 0.0, evidence + USUAL, LOWEST), b, covariance)
 

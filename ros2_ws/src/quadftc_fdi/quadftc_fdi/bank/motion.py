@@ -44,7 +44,7 @@ from quadftc_model.rotations import rotation_between, turn
 
 THETA, BETA, OMEGA, D, SCALE, LAG, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8
 CORRELATED = 1.0  # s; T
-WALK = math.radians(0.05)  # rad/s/sqrt(s); of the gyro's bias
+WALK = math.radians(0.003)  # rad/s/sqrt(s); of the gyro's bias
 BIAS, SCALES, LAGS = math.radians(2.0), 0.01, 0.01  # rad/s, 1, s; what MEMS gyros and attitudes start with
 SMEAR, JITTER = 0.005, 0.001  # 1, s; errors of an attitude over the rate: one wanders over 1 s, one is white
 LOUD = 40.0  # 1; square of an innovation over its variance, at most: noise has tails

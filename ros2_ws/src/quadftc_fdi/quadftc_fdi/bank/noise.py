@@ -38,7 +38,7 @@ NEWS = 2.0  # 1; what news count more than in a mean
 LOOSE, TIGHT = 100.0, 9.0  # 1; bounds of squares over their mean, of the gyro and of the attitude
 GYRO, UNKNOWN, ATTITUDE = 0.005, 1.0, math.radians(0.1)  # rad/s, rad/s², rad; at the start
 LEAST_GYRO, LEAST_UNKNOWN = 1e-4, 0.1  # rad/s, rad/s²
-LEAST_ATTITUDE, LEAST_WANDER = math.radians(0.05), math.radians(0.05)  # rad, rad/sqrt(s); of any sensor
+LEAST_ATTITUDE, LEAST_WANDER = math.radians(0.05), math.radians(0.005)  # rad, rad/sqrt(s); of any sensor
 
 
 class Noise(NamedTuple):

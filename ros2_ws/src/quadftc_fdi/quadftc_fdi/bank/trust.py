@@ -30,8 +30,8 @@ from quadftc_model.arrays import (
 
 FAULTY_WALK = 0.1  # rad/s/sqrt(s); of the bias of a gyro that is not believed
 BACK = 0.3  # s; for which a gyro's bias must be what it was
-AGREES = 0.5  # s; for which an attitude must agree
-SEEN = 12.0  # 1; log-likelihood from which the end of a fault was seen: it has a prior of 1e-3 a sample
+AGREES = 1.0  # s; for which an attitude must agree
+SEEN, JUMP = 12.0, 9.0  # 1; log-likelihood from which an end was seen, at 1e-3 a sample; square of a jump
 AVERAGE = 0.02  # s; over which the size of a fault of the attitude is averaged
 BOUND = 20.0  # 1; log-likelihood of a single reading, at most
 
@@ -99,14 +99,16 @@ def watch_attitude(
 ) -> Trust:
     """Watch an attitude that reads ``off`` [rad] by the motion, with a variance, of which noise is a part."""
     begins, present = named & ~state.faulty, column(there)
-    news, spread = off - state.size, 2.0 * noise
+    news, spread = off - state.size, 1.2 * noise
     ended, goes_on = off * off / variance, news * news / spread
     ratio = clip(0.5 * (goes_on - ended - log(variance / spread)), -BOUND, BOUND)
-    evidence = where(begins, 0.0, larger(state.evidence + ratio * present, 0.0))
+    jumped = present & (goes_on > JUMP)  # what agrees for other reasons tells nothing new with each sample
+    evidence = where(jumped, state.evidence + ratio, (1.0 - dt / AVERAGE) * state.evidence)
+    evidence = where(begins, 0.0, larger(evidence, 0.0))
     size = where(begins, off, state.size + (1.0 - exp(-dt / AVERAGE)) * news * present)
     peak = where(begins, abs(off), larger(state.other, abs(size)))
     small = abs(size) < 0.5 * peak
-    agrees = (size * size < 9.0 * variance) & small | (size * size < variance)
+    agrees = (size * size < 4.0 * variance) & small | (size * size < variance)
     calm = where(begins, 0.0, (state.calm + dt) * (agrees & present))
     over = ~begins & ((evidence > SEEN) & (abs(off) < 0.5 * peak) | (calm > AGREES))
     faulty = (state.faulty | named) & ~over
