@@ -46,10 +46,7 @@ def diagnose_log(
     progress(READING)
     if faults:
         log = overlay_faults(log, faults, options.seed)
-    result = inspect(log, baseline, lambda share: progress(READING + (1.0 - READING) * share))
-    if not result.verdict.judged:
-        raise ValueError(f"{path}: {result.verdict.sentence[0].lower()}{result.verdict.sentence[1:-1]}")
-    return result
+    return inspect(log, baseline, lambda share: progress(READING + (1.0 - READING) * share))
 
 
 def _with_layout(log: FlightLog, vehicle: str) -> FlightLog:

@@ -28,7 +28,7 @@ BEFORE, KNOWN = 2.0, 1.0  # s; over which it was known, and at least
 FASTEST = 100.0  # Hz; of commands that are used
 FEWEST = 3  # commands in a window
 FLOOR = 0.01  # 1; standard deviation of r, at least: that of Crazyflies from flight to flight
-LEVEL = 4.0  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 2.7
+LEVEL = 4.0  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 2.9
 SOONER = 0.3  # s; by which a loss may begin before it is seen
 CANDIDATE = 3.0  # standard deviations; of a step that the model of all before it has to confirm
 LEAST, MOST = 0.2, 2.0  # 1; share of the rotor's thrust
@@ -41,6 +41,7 @@ LEAST_FLOWN = 30  # commands in flight
 MIXED = 0.98  # 1; R² of a mixer from which it is used
 USUAL = np.array([0.01, 0.03, 0.0])  # J [s²], L [s] and D [s], before anything is fitted
 PRIOR = np.array([0.01, 0.03, 0.01])  # their standard deviations
+SIGNED = (0, 2)  # J and D, which are never negative: what they may hide or feign has a sign
 GAINS = 0.35  # 1; by which they may be off whatever the fit says: closed loops hide them
 TOGETHER = 5.0  # 1; samples that tell as much as one that is independent
 NEARLY = 0.8  # 1; of the score of the first, from which a second rotor is named
@@ -145,9 +146,8 @@ def fit(torque: Torque, moved: Floats) -> tuple[Floats, Floats]:
             power = scaled.T @ rows / TOGETHER + np.diag((FLOOR / PRIOR) ** 2)
             known = scaled.T @ (asked - middle) / TOGETHER + (FLOOR / PRIOR) ** 2 * USUAL
             found[axis] = np.linalg.solve(power, known)
-            found[axis, 0] = max(
-                found[axis, 0], 0.0
-            )  # gusts that the controller answers look like less inertia
+            # gusts that the controller answers look like less inertia, and less damping
+            found[axis, SIGNED] = np.maximum(found[axis, SIGNED], 0.0)
             left = np.abs(asked - middle - rows @ found[axis])
             bound = 2.0 * TO_SIGMA * float(np.median(left)) + 1e-9
             weight = np.minimum(1.0, bound / np.maximum(left, 1e-12))
@@ -210,19 +210,19 @@ def search(torque: Torque, factors: Floats, covariance: Floats, level: float = L
     part = torque.rows(rows)
     rest = part.asked - np.einsum("nak,ak->na", part.columns, factors)
     doubt = np.einsum("nak,akl,nal->na", part.columns, covariance, part.columns)
-    before = max(2 * FEWEST, round(BEFORE / period))
-    others_only = covariance.copy()  # the inertia's doubt has a sign
-    others_only[:, 0, :] = others_only[:, :, 0] = 0.0
+    before, shortest = max(2 * FEWEST, round(BEFORE / period)), max(FEWEST, round(WINDOWS[0] / period))
+    others_only = covariance.copy()
+    others_only[:, SIGNED, :] = others_only[:, :, SIGNED] = 0.0
     best: RotorStep | None = None
     for window in WINDOWS:
         count = max(FEWEST, round(window / period))
-        k = np.arange(max(FEWEST, round(KNOWN / period)), len(rows) - FEWEST + 1)
+        k = np.arange(max(FEWEST, round(KNOWN / period)), len(rows) - shortest + 1)
         if not len(k):
             continue
         step = _steps(rest, k, before, count)
         unsure = _steps(part.columns.reshape(len(rows), 6), k, before, count).reshape(len(k), 2, 3)
         variance = np.einsum("nak,akl,nal->na", unsure, others_only, unsure) + _scatter(step) ** 2 + FLOOR**2
-        least = _least_favourable(step, unsure[..., 0], factors[:, 0], np.sqrt(covariance[:, 0, 0]))
+        least = _least_favourable(step, unsure, factors, covariance)
         driven = _after(part.commands, k, count)
         effect = driven[:, :, None] * torque.layout.T  # (m, rotors, 2)
         power = np.sum(effect**2 / variance[:, None], axis=2) + 1e-12
@@ -258,12 +258,14 @@ def search(torque: Torque, factors: Floats, covariance: Floats, level: float = L
     return best
 
 
-def _least_favourable(step: Floats, alpha: Floats, inertia: Floats, sigma: Floats) -> Floats:
-    """Steps (m, 2) by the inertia, within two standard deviations, that leaves least of them."""
-    lighter = step + np.minimum(inertia, 2.0 * sigma) * alpha
-    heavier = step - 2.0 * sigma * alpha
-    least = np.where(np.abs(lighter) < np.abs(heavier), lighter, heavier)
-    return np.where(lighter * heavier > 0.0, least, 0.0)
+def _least_favourable(step: Floats, columns: Floats, factors: Floats, covariance: Floats) -> Floats:
+    """Steps (m, 2) by the inertia and damping, within two standard deviations, that leave least of them."""
+    low, high = step.copy(), step.copy()
+    for k in SIGNED:
+        sigma = np.sqrt(covariance[:, k, k])
+        less, more = np.minimum(factors[:, k], 2.0 * sigma) * columns[..., k], -2.0 * sigma * columns[..., k]
+        low, high = low + np.minimum(less, more), high + np.maximum(less, more)
+    return np.where(low > 0.0, low, np.where(high < 0.0, high, 0.0))
 
 
 def _after(values: Floats, k: NDArray[np.int_], count: int) -> Floats:
