@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from quadftc_cli.commands import BAD_INPUT, CHECK_FAILED, GOOD, INTERRUPTED
+from quadftc_cli.commands import BAD_INPUT, CHECK_FAILED, GOOD, INTERRUPTED, NOT_ENOUGH
 
-ALLOWED = (GOOD, CHECK_FAILED, BAD_INPUT, INTERRUPTED)  # exit codes
+ALLOWED = (GOOD, CHECK_FAILED, BAD_INPUT, NOT_ENOUGH, INTERRUPTED)  # exit codes
 MAX_LINES, MAX_LINE = 12, 4000  # of what is said about a bad input; characters
 MAX_GROWTH = 700 * 1024  # KiB by which the memory of the process may grow with one input
 INSIDE = Path("outer", "inner", "work")  # working folder, within the sandbox: what is written outside shows
