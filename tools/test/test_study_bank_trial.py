@@ -90,9 +90,9 @@ def test_the_table_has_shares_and_times():
     verdicts.append(Verdict(None, True, False))
     judged = [bank_trial.Judged(STEP, "bank", each) for each in verdicts]
     judged += [bank_trial.Judged("none", "bank", Verdict(None, False, False))]
-    last = bank_trial.tabulate(judged).splitlines()[-2:]
-    assert last[0] == f"| {STEP} | `bank` | 10 | 80 % | 20 % | 10 % | 100 / 360 / 500 ms |"
-    assert last[1] == "| none | `bank` | 1 | - | 0 % | 0 % | - |"
+    *_, none, step = bank_trial.tabulate(judged).splitlines()
+    assert step == f"| {STEP} | `bank` | 10 | 80 % | 20 % | 10 % | 100 / 360 / 500 ms |"
+    assert none == "| none | `bank` | 1 | - | 0 % | 0 % | - |"
 
 
 def test_what_follows_an_onset_is_as_in_the_whole_flight(recorded):

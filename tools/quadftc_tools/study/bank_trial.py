@@ -236,19 +236,14 @@ def tabulate(judged: Iterable[Judged]) -> str:
     groups: dict[tuple[str, str], list[Verdict]] = {}
     for kind, observer, verdict in judged:
         groups.setdefault((kind, observer), []).append(verdict)
-    rows = list[tuple[str, ...]]()
-    for (kind, observer), verdicts in groups.items():
+    order, rows = list(KINDS), list[tuple[str, ...]]()
+    for (kind, observer), verdicts in sorted(groups.items(), key=lambda group: order.index(group[0][0])):
         delays = [each.delay for each in verdicts if each.delay is not None]
-        can_be_named = KINDS[kind].sensor >= 0
-        shares = [
-            write_per_cent((sum(each) / len(verdicts),))
-            for each in zip(*[(v.delay is not None, v.wrong, v.unsure) for v in verdicts], strict=True)
-        ]
+        counts = len(delays), sum(each.wrong for each in verdicts), sum(each.unsure for each in verdicts)
+        named, *others = (write_per_cent((count / len(verdicts),)) for count in counts)
         times = [float(each) for each in np.quantile(delays, (0.5, 0.95, 1.0))] if delays else [None]
-        named = shares[0] if can_be_named else NOTHING
-        rows.append(
-            (kind, f"`{observer}`", str(len(verdicts)), named, *shares[1:], write_times(tuple(times)))
-        )
+        row = named if KINDS[kind].sensor >= 0 else NOTHING, *others, write_times(tuple(times))
+        rows.append((kind, f"`{observer}`", str(len(verdicts)), *row))
     return markdown(HEAD, rows)
 
 
