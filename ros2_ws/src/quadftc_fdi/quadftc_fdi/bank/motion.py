@@ -31,6 +31,7 @@ from quadftc_model.arrays import (
     Quaternion,
     Scalar,
     Vector,
+    clip,
     column,
     exp,
     larger,
@@ -41,6 +42,7 @@ from quadftc_model.arrays import (
     where,
 )
 from quadftc_model.rotations import rotation_between, turn
+from quadftc_model.samples import MAX_BODY_RATE
 
 THETA, BETA, OMEGA, D, SCALE, LAG, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8
 CORRELATED = 1.0  # s; T
@@ -106,7 +108,7 @@ def predict(
     """
     step, zeros = column(dt), namespace(state.rate).zeros_like(state.rate)
     keep = exp(-step / CORRELATED)
-    rate = state.rate + (known + state.unknown) * step
+    rate = clip(state.rate + (known + state.unknown) * step, -MAX_BODY_RATE, MAX_BODY_RATE)
     turning = gyro - state.bias if repeats_gyro else 0.5 * (state.rate + rate)
     drive = noise.unknown * (1.0 - keep**2)
     loose = where(column(driven), 0.0, (UNDRIVEN * step) ** 2)

@@ -27,6 +27,7 @@ CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading at first; log of
 COARSE, LIKELY = 10.0, 0.7  # 1; chance of a repeated reading by its grain, over its usual change; at most
 LONG_RUN = 2.0  # 1; repetitions beyond which a run teaches nothing
 SILENT = 3.0  # 1; samples without a reading that are a fault
+HELD = 0.3  # s; for which readings must come, and change, until they count as such
 
 
 class Readings(NamedTuple):
@@ -38,13 +39,15 @@ class Readings(NamedTuple):
     missing: Vector  # samples without a reading, in a row
     grain: Vector  # smallest change from reading to reading so far
     seen: Mask  # there has been one
+    absent: Vector  # for how long it counts as absent still [s]
+    stuck: Vector  # the same of stuck [s]
     silence: Vector  # for how long there has been no new reading [s]
 
 
 def start_readings(reading: Vector) -> Readings:
     """Start at a reading."""
     zeros = namespace(reading).zeros_like(reading)
-    return Readings(reading, zeros, zeros + CHANCE, zeros, zeros + UNUSABLE, zeros > 0.0, zeros)
+    return Readings(reading, zeros, zeros + CHANCE, zeros, zeros + UNUSABLE, zeros > 0.0, zeros, zeros, zeros)
 
 
 def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, dt: Scalar) -> Readings:
@@ -56,22 +59,27 @@ def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, d
     new = present & ~same
     by_grain = smaller(COARSE * state.grain / sqrt(usual), LIKELY)
     chance = larger(state.chance + learns * (same - state.chance), by_grain)
+    repeats = where(present, (state.repeats + 1.0) * same, state.repeats)
+    missing, seen = (state.missing + 1.0) * ~present, state.seen | present
+    repeated = repeats * log(clip(chance, 1e-4, 0.99)) < RARE
     return Readings(
-        where(new, reading, state.last),
-        where(present, (state.repeats + 1.0) * same, state.repeats),
-        chance,
-        (state.missing + 1.0) * ~present,
-        where(new, smaller(state.grain, change), state.grain),
-        state.seen | present,
-        (state.silence + dt) * ~new,
+        last=where(new, reading, state.last),
+        repeats=repeats,
+        chance=chance,
+        missing=missing,
+        grain=where(new, smaller(state.grain, change), state.grain),
+        seen=seen,
+        absent=where(seen & (missing >= SILENT), HELD, larger(state.absent - dt, 0.0)),
+        stuck=where(repeated, HELD, larger(state.stuck - dt, 0.0)),
+        silence=(state.silence + dt) * ((state.absent > 0.0) | (state.stuck > 0.0) | ~new),
     )
 
 
 def is_stuck(state: Readings) -> Mask:
-    """Whether a reading is repeated more often than by chance."""
-    return state.repeats * log(clip(state.chance, 1e-4, 0.99)) < RARE
+    """Whether readings are, or were of late, repeated more often than by chance."""
+    return state.stuck > 0.0
 
 
 def is_absent(state: Readings) -> Mask:
-    """Whether there are no readings any more."""
-    return state.seen & (state.missing >= SILENT)
+    """Whether there are no readings any more, or were none of late."""
+    return state.absent > 0.0

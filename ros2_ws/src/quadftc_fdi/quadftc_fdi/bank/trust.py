@@ -12,7 +12,8 @@ import numpy as np
 
 from quadftc_fdi.bank import inference, modes
 from quadftc_fdi.bank.inference import Bank, Posterior
-from quadftc_fdi.bank.motion import BETA, STATES, Motion, moved_by
+from quadftc_fdi.bank.motion import BETA, STATES, WALK, Gains, Motion, moved_by
+from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_model.arrays import (
     Array,
     Flag,
@@ -25,14 +26,17 @@ from quadftc_model.arrays import (
     larger,
     log,
     namespace,
+    smaller,
+    sqrt,
     where,
 )
 
-FAULTY_WALK = 0.1  # rad/s/sqrt(s); of the bias of a gyro that is not believed
+FAULTY_WALK = 0.1  # rad/s/sqrt(s); of the bias of a gyro that is not believed, at least
 BACK = 0.3  # s; for which a gyro's bias must be what it was
-AGREES = 1.0  # s; for which an attitude must agree
-SEEN, JUMP = 12.0, 9.0  # 1; log-likelihood from which an end was seen, at 1e-3 a sample; square of a jump
-AVERAGE = 0.02  # s; over which the size of a fault of the attitude is averaged
+AGREES, SOON = 1.0, 0.05  # s; for which an attitude must agree, and after a jump back
+SEEN = 12.0  # 1; log-likelihood from which a jump back was seen: it has a prior of 1e-3 a sample
+AVERAGE = 0.02  # s; over which the size of a fault of the attitude and jumps of a gyro are averaged
+LARGEST = 1.0  # rad/s; jump of a gyro that counts, at most
 BOUND = 20.0  # 1; log-likelihood of a single reading, at most
 
 
@@ -43,7 +47,7 @@ class Trust(NamedTuple):
     age: Vector  # of the fault [s]
     size: Vector  # reading less motion
     other: Vector  # of the attitude the largest size; of the gyro its bias before the fault
-    evidence: Vector  # log-likelihood ratio that the fault is over
+    evidence: Vector  # of the attitude log-likelihood ratio that it is over; of the gyro mean square of jumps
     calm: Vector  # for how long it has looked healthy [s]
 
 
@@ -76,15 +80,32 @@ def take_over(motion: Motion, bank: Bank, posterior: Posterior, mode: Array) -> 
     return moved_by(motion, change)._replace(covariance=P), inference.forget(bank, axes), of(bank.age)
 
 
-def watch_gyro(state: Trust, named: Mask, age: Scalar, motion: Motion, before: Vector, dt: Scalar) -> Trust:
-    """Watch a gyro until its bias [rad/s] is what it was ``before``."""
+def walk_of(state: Trust, dt: Scalar) -> Vector:
+    """Return how a gyro's bias walks [rad/s/sqrt(s)]: one that is not believed by what it jumps."""
+    jumps = state.evidence / larger(column(dt), SHORTEST)
+    return sqrt(where(state.faulty, larger(FAULTY_WALK**2, jumps), WALK**2))
+
+
+def watch_gyro(
+    state: Trust,
+    named: Mask,
+    age: Scalar,
+    motion: Motion,
+    before: Vector,
+    seen: Gains,
+    noise: Vector,
+    dt: Scalar,
+) -> Trust:
+    """Watch a gyro until its bias [rad/s] is what it was ``before``, and it jumps no more than its noise."""
     begins = named & ~state.faulty
     usual = where(begins, before, state.other)
     size = motion.bias - usual
-    agrees = size * size < 4.0 * motion.covariance[..., BETA, BETA]
+    square = where(seen.used, smaller(seen.innovation**2, LARGEST**2), state.evidence)
+    jumps = state.evidence + (1.0 - exp(-dt / AVERAGE)) * (square - state.evidence)
+    agrees = (size * size < 4.0 * motion.covariance[..., BETA, BETA]) & (jumps < 9.0 * noise)
     calm = where(named, 0.0, (state.calm + dt) * agrees)
     faulty = (state.faulty | named) & (calm < BACK)
-    return _kept(faulty, where(begins, column(age), state.age + dt), size, usual, state.evidence, calm)
+    return _kept(faulty, where(begins, column(age), state.age + dt), size, usual, jumps, calm)
 
 
 def watch_attitude(
@@ -97,21 +118,23 @@ def watch_attitude(
     there: Flag,
     dt: Scalar,
 ) -> Trust:
-    """Watch an attitude that reads ``off`` [rad] by the motion, with a variance, of which noise is a part."""
+    """Watch an attitude that reads ``off`` [rad] by the motion, with a variance, of which noise is a part.
+
+    Its fault is over when it was seen to jump back, or when it has agreed for long.
+    """
     begins, present = named & ~state.faulty, column(there)
     news, spread = off - state.size, 1.2 * noise
-    ended, goes_on = off * off / variance, news * news / spread
-    ratio = clip(0.5 * (goes_on - ended - log(variance / spread)), -BOUND, BOUND)
-    jumped = present & (goes_on > JUMP)  # what agrees for other reasons tells nothing new with each sample
-    evidence = where(jumped, state.evidence + ratio, (1.0 - dt / AVERAGE) * state.evidence)
-    evidence = where(begins, 0.0, larger(evidence, 0.0))
+    fits, goes_on = off * off / variance, news * news / spread
+    ratio = clip(0.5 * (goes_on - fits - log(variance / spread)), -BOUND, BOUND)
     size = where(begins, off, state.size + (1.0 - exp(-dt / AVERAGE)) * news * present)
     peak = where(begins, abs(off), larger(state.other, abs(size)))
-    small = abs(size) < 0.5 * peak
-    agrees = (size * size < 4.0 * variance) & small | (size * size < variance)
-    calm = where(begins, 0.0, (state.calm + dt) * (agrees & present))
-    over = ~begins & ((evidence > SEEN) & (abs(off) < 0.5 * peak) | (calm > AGREES))
+    agrees = present & ~begins & (fits < 9.0) & ((abs(size) < 0.5 * peak) | (size * size < variance))
+    # a reading that agrees for other reasons tells nothing new with each sample: jumps alone count
+    evidence = where(agrees | (fits < 9.0), state.evidence + ratio * (goes_on > 9.0), 0.0)
+    calm = (state.calm + dt) * agrees
+    over = (calm > AGREES) | ((calm > SOON) & (evidence > SEEN))
     faulty = (state.faulty | named) & ~over
+    evidence = where(begins, 0.0, larger(evidence, 0.0))
     return _kept(faulty, where(begins, column(age), state.age + dt), size, peak, evidence, calm)
 
 

@@ -33,6 +33,7 @@ from quadftc_model.arrays import (
     larger,
     namespace,
     sin,
+    smaller,
     sqrt,
     stacked,
     where,
@@ -50,6 +51,7 @@ from quadftc_model.samples import (
 )
 
 OFFSET, STUCK, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "absent"))
+VAGUE = 100.0  # rad, rad/s; largest standard deviation that is said
 COMMITS = 1e-6  # 1; doubt at which a push is taken for true: it hides what began with it
 
 
@@ -155,7 +157,8 @@ class BankObserver(FaultObserver):
         attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), named[..., 3:6]
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(state.attitude, attitude, age, off, spread, white, there, dt)
-        gyro = trust.watch_gyro(state.gyro, gyro, age, believed, state.motion.bias, dt)
+        before, white = state.motion.bias, levels.gyro
+        gyro = trust.watch_gyro(state.gyro, gyro, age, believed, before, by_gyro, white, dt)
         # learn
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
         learning = noise.learn(state.learning, read, state.rate, known, imu.q_xyzw, state.q_xyzw, *well, dt)
@@ -201,7 +204,7 @@ class BankObserver(FaultObserver):
         turning = clip(state.motion.rate, -samples.MAX_BODY_RATE, samples.MAX_BODY_RATE)
         known = 0.5 * (torque + state.torque) / inertia + gyroscopic_acceleration(inertia, turning)
         usual = state.learning.gyro.drift * column(inputs.driven)  # a trim, a centre of mass that is off
-        walk = where(state.gyro.faulty, trust.FAULTY_WALK, motion.WALK)
+        walk = trust.walk_of(state.gyro, dt)
         mean = 0.5 * (read + state.rate)
         repeats = self.attitude_from_gyro
         moved = motion.predict(state.motion, known + usual, inputs.driven, mean, walk, levels, repeats, dt)
@@ -256,7 +259,7 @@ class BankObserver(FaultObserver):
         return SensorEstimate(
             where(declared, faulty, suspect).astype(xp.uint8),
             where(state.faulty & ~seen.there, state.size, where(declared & ~absent, seen.off, 0.0)),
-            sqrt(seen.variance),
+            smaller(sqrt(seen.variance), VAGUE),
             where(declared, age, -1.0),
             where(certain, 1.0, seen.mine),
             where(declared, kind, 0).astype(xp.uint8),
