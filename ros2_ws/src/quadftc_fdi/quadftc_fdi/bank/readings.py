@@ -58,10 +58,10 @@ def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, d
     learns = (dt / MEMORY) * (present & (state.repeats <= LONG_RUN))
     new = present & ~same
     by_grain = smaller(COARSE * state.grain / sqrt(usual), LIKELY)
-    chance = larger(state.chance + learns * (same - state.chance), by_grain)
+    chance = state.chance + learns * (same - state.chance)
     repeats = where(present, (state.repeats + 1.0) * same, state.repeats)
     missing, seen = (state.missing + 1.0) * ~present, state.seen | present
-    repeated = repeats * log(clip(chance, 1e-4, 0.99)) < RARE
+    repeated = repeats * log(clip(larger(chance, by_grain), 1e-4, 0.99)) < RARE
     return Readings(
         last=where(new, reading, state.last),
         repeats=repeats,

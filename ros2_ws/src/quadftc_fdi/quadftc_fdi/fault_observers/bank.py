@@ -179,9 +179,10 @@ class BankObserver(FaultObserver):
         b = posterior.b * (shares * ~is_sure[..., None, None])[..., None, :, :]
         shift = (bank.U * b[..., None, None, :, :, :]).sum(axis=(-1, -2, -3)).swapaxes(-1, -2)
         flown = motion.moved_by(believed, shift)
+        of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         seen = (
             Seen(off, spread, p[..., :3], column(there)),
-            Seen(gyro.size, by_gyro.variance, p[..., 3:6], column(imu.rate_valid)),
+            Seen(gyro.size, of_bias, p[..., 3:6], column(imu.rate_valid)),
         )
         return after, self._said(after, inputs, flown, *seen)
 
