@@ -141,8 +141,8 @@ class _Scan:
         """Place of the next stamp that may have a message behind it."""
         for first, found in self._found.items():
             if found < at + STAMP_SIZE:
-                found = self.data.find(bytes([first]), at + STAMP_SIZE)
-                self._found[first] = found if found >= 0 else size + STAMP_SIZE
+                later = self.data.find(bytes([first]), at + STAMP_SIZE)
+                self._found[first] = later if later >= 0 else size + STAMP_SIZE
         return min(self._found.values()) - STAMP_SIZE
 
     def notes(self) -> Iterator[str]:
