@@ -131,8 +131,9 @@ def _step_found(step: RotorStep) -> Found:
     """The finding of a rotor that lost thrust."""
     others = () if step.second is None else (f"rotor/{step.second + 1}",)
     said = (
-        f"from {step.onset:.2f} s on the controller asks for {100 * step.share:.0f} % of its thrust more,"
-        f" and the vehicle does not turn for it, {step.score:.0f} standard deviations",
+        f"from {step.onset:.2f} s on the vehicle turns as if {100 * step.share:.0f} % of its thrust"
+        " were missing;"
+        f" what the controller asks for against it is not followed, by {step.score:.0f} standard deviations",
     )
     finding = make_finding(
         *("rotor", str(step.rotor + 1), "off" if step.share > ALL_OF_IT else "loss", step.onset),
@@ -145,7 +146,7 @@ def _step_found(step: RotorStep) -> Found:
     )
     lines = {"roll": step.rest[:, 0], "pitch": step.rest[:, 1]}
     span = (step.onset - 5.0 * AROUND, step.onset + 5.0 * AROUND)
-    title = "torque asked for that the vehicle does not follow"
+    title = "torque not followed"
     return Found(finding, curve_around(title, "1", step.time, lines, span))
 
 
