@@ -13,8 +13,8 @@ Onsets have slots, in three rings. A ring takes an onset every `SPACING`; of its
 and the oldest where nothing is likely. So a hypothesis "since 40 ms" has never used the samples since.
 
 Models are wrong. How much noisier gyro and attitude are to these tests than the filter believes is learned,
-by axis and ring, where they are believed: the `temper`, by which J and d are divided. It counts for all modes
-alike, so it doubts a channel, not a hypothesis.
+by axis and ring, where they are believed: the `temper`. J and d are divided by the largest of the rings, for
+all modes and onsets alike: it doubts a channel, not a hypothesis.
 """
 
 from __future__ import annotations
