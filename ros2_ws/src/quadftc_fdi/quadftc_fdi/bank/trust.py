@@ -130,7 +130,7 @@ def watch_attitude(
     peak = where(begins, abs(off), larger(state.other, abs(size)))
     agrees = present & ~begins & (fits < 9.0) & ((abs(size) < 0.5 * peak) | (size * size < variance))
     # a reading that agrees for other reasons tells nothing new with each sample: jumps alone count
-    evidence = where(agrees | (fits < 9.0), state.evidence + ratio * (goes_on > 9.0), 0.0)
+    evidence = where(fits < 9.0, state.evidence + ratio * (present & (goes_on > 9.0)), 0.0)
     calm = (state.calm + dt) * agrees
     over = (calm > AGREES) | ((calm > SOON) & (evidence > SEEN))
     faulty = (state.faulty | named) & ~over
