@@ -117,7 +117,7 @@ def log_of(flown: Flown, autopilot: str, rng: np.random.Generator) -> FlightLog:
         attitude=kept(flown.attitude, attitude),
         attitude_from_gyro=True,
         velocity=kept(flown.velocity, 2.5),
-        gps_velocity=kept(flown.velocity, 5.0, 0.03 * noise),
+        gps_velocities={"": kept(flown.velocity, 5.0, 0.03 * noise)},
         rotor_commands=kept(flown.commands, 10.0),
         torque_command=kept(flown.torque, 50.0) if is_px4 else None,
         thrust_command=kept(flown.commands.mean(axis=1, keepdims=True), 50.0) if is_px4 else None,

@@ -55,21 +55,31 @@ class FlightLog:
     start_ns: int = 0  # stamp of the first sample on the clock of the log [ns]
     gyros: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3) [rad/s]
     accelerometers: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3) [m/s²]
-    magnetometer: Signal | None = None  # (n, 3), in any unit
+    magnetometers: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3)
+    field_unit: str = "mG"  # of the magnetometers; "": not known
+    barometers: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 1) height [m]
+    # of each satellite receiver, east, north, up: from its first fix [m], and as it measures it [m/s]
+    gps_positions: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3)
+    gps_velocities: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3)
+    # fix (as NMEA and MAVLink count: 3 is in space), satellites, standard deviation that it claims [m]
+    gps_status: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3)
     attitude: Signal | None = None  # (n, 4) quaternion x, y, z, w, body to earth
     angles: Signal | None = None  # (n, 3) roll, pitch, yaw [rad], where the log has only some of them
     attitude_from_gyro: bool | None = None  # whether it is computed from a gyro of this log; None: not known
     body_rate: Signal | None = None  # (n, 3) [rad/s]: estimated rate, where no gyro is logged
     position: Signal | None = None  # (n, 3) [m]
     velocity: Signal | None = None  # (n, 3) [m/s]
-    gps_velocity: Signal | None = None  # (n, 3) [m/s], east, north, up: as the receiver measures it
     acceleration: Signal | None = None  # (n, 3) [m/s²]: estimated, without gravity, earth axes
+    flown_position: Signal | None = None  # (n, 3) [m]: what the position controller takes for the position
+    flown_acceleration: Signal | None = None  # (n, 2) [m/s²]: and for the acceleration, east and north
     rotor_speeds: Signal | None = None  # (n, rotors), measured [rad/s]
     rotor_commands: Signal | None = None  # (n, rotors), 0 to 1: what the autopilot takes for shares of thrust
     torque_command: Signal | None = None  # (n, 3) [torque_unit]
     torque_unit: str = "N m"  # or "1": shares of the greatest torque, of each axis
     thrust_command: Signal | None = None  # (n, 1), in any unit
     battery: Signal | None = None  # (n, 1) [V]
+    vibration: Signal | None = None  # (n, 1) [m/s²]: root mean square of one axis, before the filters
+    clips: Signal | None = None  # (n, 1): samples of an accelerometer at its limit, since the start
     vehicle: str = ""  # name of the vehicle file, where the log says it
     rotor_positions: Floats | None = None  # (rotors, 2) [m], or directions alone
     rotor_yaw_signs: Floats | None = None  # (rotors,) of the reaction torque about z
@@ -78,10 +88,20 @@ class FlightLog:
     notes: tuple[str, ...] = ()  # one line each: what was left out, what is damaged, what was assumed
 
     @property
+    def gps_velocity(self) -> Signal | None:
+        """Velocity of the first satellite receiver that measures all of it (n, 3) [m/s]; None: of none."""
+        whole = (each for each in self.gps_velocities.values() if np.isfinite(each.value).any(axis=0).all())
+        return next(whole, None)
+
+    @property
     def end(self) -> float:
         """Time of the last sample of all signals [s]."""
-        single = [self.magnetometer, self.attitude, self.body_rate, self.position, self.velocity]
+        single = [self.attitude, self.body_rate, self.position, self.velocity]
         single += [self.acceleration, self.rotor_speeds, self.rotor_commands, self.torque_command]
-        single += [self.thrust_command, self.battery, self.angles, self.gps_velocity]
-        signals = [*self.gyros.values(), *self.accelerometers.values(), *filter(None, single)]
+        single += [self.thrust_command, self.battery, self.angles]
+        single += [self.flown_position, self.flown_acceleration, self.vibration, self.clips]
+        several = (self.gyros, self.accelerometers, self.magnetometers, self.barometers)
+        several += (self.gps_positions, self.gps_velocities)
+        signals = [each for named in several for each in named.values()]
+        signals += filter(None, single)
         return max((float(each.time[-1]) for each in signals if len(each)), default=0.0)

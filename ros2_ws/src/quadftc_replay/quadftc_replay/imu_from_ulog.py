@@ -39,17 +39,8 @@ from quadftc_replay.imu_recording import (
     keep_good_stamps,
     latest_rows,
 )
-from quadftc_replay.readers.ulog import (
-    ATTITUDE,
-    FORCES,
-    GYROS,
-    INVALID_TIME,
-    Dataset,
-    read_contents,
-    resets,
-    stamps_of,
-    vectors,
-)
+from quadftc_replay.readers.ulog import ATTITUDE, FORCES, GYROS, INVALID_TIME, read_contents, resets
+from quadftc_replay.readers.ulog_datasets import Dataset, stamps_of, vectors
 
 
 def is_ulog(path: Path) -> bool:

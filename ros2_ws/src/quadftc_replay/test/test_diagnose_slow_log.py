@@ -82,7 +82,7 @@ def fly(
         attitude=thinned(attitudes, 0.1),
         attitude_from_gyro=True,
         velocity=thinned(velocities, 0.4),
-        gps_velocity=thinned(velocities, 0.2, 0.01),
+        gps_velocities={"": thinned(velocities, 0.2, 0.01)},
         rotor_commands=thinned(commands, 0.1),
         battery=Signal(time[::20], np.full((len(time[::20]), 1), 12.0)),
         rotor_positions=PLACES,
@@ -124,7 +124,7 @@ def test_wrong_accelerometer_of_two_is_named_by_the_velocity_of_satellites():
 
 
 def test_wrong_accelerometer_of_three_is_the_one_that_differs_from_both():
-    log = dataclasses.replace(fly(force=np.array([0.0, 0.0, 3.0]), imus=3, wrong=(1,)), gps_velocity=None)
+    log = dataclasses.replace(fly(force=np.array([0.0, 0.0, 3.0]), imus=3, wrong=(1,)), gps_velocities={})
     (found,) = judge(log).findings
     assert (found.component, found.element) == ("accelerometer 1", "z")
 

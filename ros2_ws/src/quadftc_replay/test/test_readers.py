@@ -14,14 +14,14 @@ from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.crazyflie import distribute
 from quadftc_replay.readers.layouts import FRAMES, frame_layout
-from quadftc_replay.readers.signals import good_stamps, sound
+from quadftc_replay.readers.signals import NAMED, good_stamps, sound
 from recorded_logs import DATA, needs_data
 
 
 def held(log: FlightLog) -> set[str]:
     """Names of the signals that a log has."""
-    names = {name for name in ("gyros", "accelerometers") if getattr(log, name)}
-    others = "magnetometer attitude angles body_rate position velocity acceleration rotor_speeds "
+    names = {name for name in NAMED if getattr(log, name)}
+    others = "attitude angles body_rate position velocity acceleration rotor_speeds "
     others += "rotor_commands torque_command thrust_command battery"
     return names | {name for name in others.split() if getattr(log, name) is not None}
 
@@ -39,13 +39,14 @@ def held(log: FlightLog) -> set[str]:
         ("crazyflie/crazypad/controller_data-normal_flight-E8_log00", "gyros position rotor_commands"),
         (
             "px4/battery_brownout.ulg",
-            "gyros accelerometers magnetometer attitude position velocity acceleration rotor_commands"
-            " torque_command thrust_command battery",
+            "gyros accelerometers magnetometers barometers attitude position velocity acceleration"
+            " rotor_commands torque_command thrust_command battery",
         ),
         (
             "px4/motor_failure.ulg",
-            "gyros accelerometers magnetometer attitude position velocity acceleration rotor_speeds"
-            " rotor_commands torque_command thrust_command battery",
+            "gyros accelerometers magnetometers barometers gps_positions gps_velocities gps_status attitude"
+            " position velocity acceleration rotor_speeds rotor_commands torque_command thrust_command"
+            " battery",
         ),
     ],
 )

@@ -159,7 +159,7 @@ GOOD = TIME + signal("gyro", "x y z", "rad/s")
         (TIME + signal("rotor_speeds", "x", "rpm"), "signal 1: 1 columns of rotor_speeds; expected 2 to 16"),
         (TIME + signal("attitude", "x y z", "1"), "signal 1: unit '1' of attitude; expected rad, deg"),
         (TIME + signal("battery", "x", "V", frame="flu"), "frame 'flu' of battery; expected none"),
-        (TIME + signal("battery", "x", "V", name="2"), "name '2' of battery; only a gyro or an"),
+        (TIME + signal("battery", "x", "V", name="2"), "name '2' of battery; only a sensor has one"),
         (TIME + signal("rotor_commands", "a b", "us"), "unit 'us' without low and high"),
         (TIME + signal("battery", "x", "V", low=1.0, high=2.0), "only rotor_commands have them"),
         (

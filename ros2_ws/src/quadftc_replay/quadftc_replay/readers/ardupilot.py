@@ -4,15 +4,19 @@
 |---|---|
 | gyros | ``IMU`` or ``GYR``, whichever has more samples: ``GyrX`` to ``GyrZ`` [rad/s] of each instance |
 | accelerometers | ``IMU`` or ``ACC``: ``AccX`` to ``AccZ`` [m/s²] of each instance |
-| magnetometer | ``MAG``: ``MagX`` to ``MagZ`` [mGauss] of the first instance |
+| magnetometers | ``MAG``, ``MAG2``, ``MAG3``: ``MagX`` to ``MagZ`` [mGauss] |
+| barometers | ``BARO``, ``BAR2``, ``BAR3``: ``Alt`` [m] |
 | attitude | ``ATT`` or ``ANG``, whichever has more samples: ``Roll``, ``Pitch``, ``Yaw`` [deg] |
 | body rate | ``RATE``: ``R``, ``P``, ``Y`` [deg/s], without a gyro |
 | position, velocity | ``XKF1``, ``NKF1`` or ``EKF1``: ``PN`` ... [m], ``VN`` ... [m/s] of the first core |
-| velocity by satellites | ``GPS``: ``Spd`` [m/s], ``GCrs`` [deg], ``VZ`` [m/s] of the first receiver |
+| satellites | ``GPS``, ``GPS2``: ``Lat``, ``Lng`` [deg], ``Alt`` [m], ``Spd``, ``VZ`` [m/s], ``GCrs`` [deg] |
+| their status | ``GPS``: ``Status``, ``NSats``; ``GPA``, ``GPA2``: ``HAcc`` [m] |
 | rotor speeds | ``ESC``: ``RPM`` of each instance |
 | rotor commands | ``RCOU``: ``C1`` to ``C14`` [µs] |
 | torque, thrust command | ``RATE``: ``ROut``, ``POut``, ``YOut``, ``AOut``, shares of the greatest |
 | battery | ``BAT``: ``Volt`` [V] |
+| vibration, clips | ``VIBE``: ``VibeX`` to ``VibeZ`` [m/s²], ``Clip`` of the first IMU |
+| flown position, acceleration | ``PSCN``, ``PSCE``, ``PSCD``; before 4.2 ``PSC``, ``PSCZ`` [m, m/s²] |
 | events | ``MSG``; ``ERR`` and ``EV`` in words |
 | layout of the rotors | ``PARM``: ``FRAME_CLASS``, ``FRAME_TYPE``, of a quadplane with ``Q_`` |
 
@@ -38,10 +42,12 @@ from quadftc_model.rotations import quaternion_from_euler
 from quadftc_replay.dataflash import DataflashLog, read_dataflash
 from quadftc_replay.dataflash_text import read_dataflash_text
 from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.readers.ardupilot_navigation import add_navigation
 from quadftc_replay.readers.ardupilot_tables import (
     INSTANCES,
     Table,
     add_rotors,
+    at,
     first_of,
     instances_of,
     stamps_of,
@@ -56,9 +62,11 @@ _FIELDS = {
     **dict.fromkeys(("IMU", "IMU2", "IMU3"), (*_GYRO, *_FORCE)),
     "GYR": ("SampleUS", *_GYRO),
     "ACC": ("SampleUS", *_FORCE),
-    "MAG": ("MagX", "MagY", "MagZ"),
+    **dict.fromkeys(("MAG", "MAG2", "MAG3"), ("MagX", "MagY", "MagZ", "Health")),
+    **dict.fromkeys(("BARO", "BAR2", "BAR3"), ("Alt", "H", "Health")),
     **dict.fromkeys(("ATT", "ANG"), ("Roll", "Pitch", "Yaw")),
-    "GPS": ("Spd", "GCrs", "VZ"),
+    **dict.fromkeys(("GPS", "GPS2"), ("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Status", "NSats")),
+    **dict.fromkeys(("GPA", "GPA2"), ("HAcc",)),
     "MSG": ("Message",),
     "ERR": ("Subsys", "ECode"),
     "EV": ("Id",),
@@ -66,6 +74,10 @@ _FIELDS = {
     "ESC": ("RPM",),
     "RCOU": tuple(f"C{k + 1}" for k in range(14)),
     "BAT": ("Volt",),
+    "VIBE": ("VibeX", "VibeY", "VibeZ", "Clip"),
+    "PSC": ("PX", "PY", "AX", "AY"),
+    "PSCZ": ("PZ",),
+    **{f"PSC{axis}": (f"P{axis}", f"A{axis}") for axis in "NED"},
     **dict.fromkeys(ESTIMATES, ("PN", "PE", "PD", "VN", "VE", "VD")),
 }
 SENSORS = {"gyros": ("GYR", _GYRO), "accelerometers": ("ACC", _FORCE)}  # message other than IMU, fields
@@ -117,6 +129,7 @@ def _flight_log(path: Path, name: str, log: DataflashLog) -> FlightLog:
     for field, (fast, fields) in SENSORS.items():
         _add_sensors(signals, log.messages, field, fast, fields)
     _add_states(signals, log.messages)
+    add_navigation(signals, log.messages)
     _add_events(signals, log.messages)
     layout = add_rotors(signals, log.messages, sound(log.parameters))
     return signals.flight_log(
@@ -146,16 +159,12 @@ def _add_sensors(
 
 
 def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
-    """Add attitude, position, velocity, rates and torques, magnetometer and battery."""
+    """Add attitude, position, velocity, rates and torques, and battery."""
     attitudes = (first_of(messages.get(name), "Roll", "Pitch", "Yaw") for name in ("ATT", "ANG"))
     if table := max(filter(None, attitudes), key=lambda each: len(each["TimeUS"]), default=None):
         roll, pitch, yaw = DEGREE * columns(table, ("Roll", "Pitch", "Yaw")).T
         angles = np.stack([roll, -pitch, math.pi / 2 - yaw], axis=-1)
         signals.add("attitude", stamps_of(table), quaternion_from_euler(angles), "attitude")
-    if table := first_of(messages.get("GPS"), "Spd", "GCrs", "VZ"):
-        speed, course, down = columns(table, ("Spd", "GCrs", "VZ")).T
-        value = np.stack([speed * np.sin(DEGREE * course), speed * np.cos(DEGREE * course), -down], axis=-1)
-        signals.add("gps_velocity", stamps_of(table), value, "GPS")
     for name in ESTIMATES:
         if table := first_of(messages.get(name), "PN", "PE", "PD", "VN", "VE", "VD"):
             for field, letter in (("position", "P"), ("velocity", "V")):
@@ -170,11 +179,34 @@ def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
     if table and not signals.has("gyros"):
         value = DEGREE * flu_from_frd(columns(table, ("R", "P", "Y")))
         signals.add("body_rate", stamps_of(table), value, "RATE")
-    if table := first_of(messages.get("MAG"), "MagX", "MagY", "MagZ"):
-        value = flu_from_frd(columns(table, ("MagX", "MagY", "MagZ")))
-        signals.add("magnetometer", stamps_of(table), value, "MAG")
     if table := first_of(messages.get("BAT"), "Volt"):
         signals.add("battery", stamps_of(table), table["Volt"], "BAT")
+    if table := first_of(messages.get("VIBE"), "VibeX", "VibeY", "VibeZ"):
+        each = columns(table, ("VibeX", "VibeY", "VibeZ"))
+        signals.add("vibration", stamps_of(table), np.sqrt(np.mean(each**2, axis=1)), "VIBE")
+        if "Clip" in table:
+            signals.add("clips", stamps_of(table), table["Clip"], "VIBE")
+    _add_flown(signals, messages)
+
+
+def _add_flown(signals: Signals, messages: Mapping[str, Table]) -> None:
+    """Add what the position controller takes for position and acceleration."""
+    north, east, down = (first_of(messages.get(f"PSC{axis}"), f"P{axis}", f"A{axis}") for axis in "NED")
+    old, old_up = first_of(messages.get("PSC"), "PX", "PY", "AX", "AY"), first_of(messages.get("PSCZ"), "PZ")
+    if north and east:
+        stamp_ns = stamps_of(north)
+        position = [at(stamp_ns, east, "PE"), north["PN"]]
+        acceleration = [at(stamp_ns, east, "AE"), north["AN"]]
+        height = -at(stamp_ns, down, "PD") if down else None
+    elif old:
+        stamp_ns = stamps_of(old)
+        position, acceleration = [old["PY"], old["PX"]], [old["AY"], old["AX"]]
+        height = at(stamp_ns, old_up, "PZ") if old_up else None
+    else:
+        return
+    height = np.full(len(stamp_ns), np.nan) if height is None else height
+    signals.add("flown_position", stamp_ns, np.stack([*position, height], axis=-1), "PSC")
+    signals.add("flown_acceleration", stamp_ns, np.stack(acceleration, axis=-1), "PSC")
 
 
 def _add_events(signals: Signals, messages: Mapping[str, Table]) -> None:

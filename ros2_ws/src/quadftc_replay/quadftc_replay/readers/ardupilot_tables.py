@@ -63,6 +63,13 @@ def stamps_of(table: Table) -> Stamps:
     return np.clip(table.get("SampleUS", table["TimeUS"]), 0.0, MAX_TIME).astype(np.int64) * 1000
 
 
+def at(stamp_ns: Stamps, table: Table, field: str) -> NDArray[np.float64]:
+    """Return a field at other times (n,), straight between messages; beyond them the nearest."""
+    times = stamps_of(table)
+    order = np.argsort(times, kind="stable")
+    return np.interp(stamp_ns, times[order], table[field][order])
+
+
 def add_rotors(
     signals: Signals, messages: Mapping[str, Table], parameters: Mapping[str, float]
 ) -> Layout | None:

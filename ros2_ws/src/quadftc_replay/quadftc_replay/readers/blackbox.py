@@ -64,7 +64,7 @@ def read(path: Path, log: int = 0) -> FlightLog:
     if (value := _vectors(content, "accSmooth")) is not None and one_g > 0.0 and np.any(value):
         signals.add("accelerometers", stamp_ns, value * (STANDARD_GRAVITY / one_g), "accSmooth")
     if (value := _vectors(content, "magADC")) is not None and np.any(value):
-        signals.add("magnetometer", stamp_ns, value, "magADC")
+        signals.add("magnetometers", stamp_ns, value, "magADC")
     _add_states(signals, content, stamp_ns)
     layout = _add_rotors(signals, content, stamp_ns, firmware)
     _add_setpoints(signals, content, stamp_ns)
@@ -74,6 +74,7 @@ def read(path: Path, log: int = 0) -> FlightLog:
             signals.add("battery", stamp_ns, unit * content.columns[name], name)
             break
     return signals.flight_log(
+        field_unit="",
         attitude_from_gyro=True if signals.has("attitude") else None,
         torque_unit="1",
         rotor_positions=layout and layout.positions,

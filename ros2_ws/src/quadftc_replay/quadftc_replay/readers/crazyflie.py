@@ -64,6 +64,7 @@ def _source(group: str, elements: str, *scale: float, offset: Sequence[float] = 
 
 
 MILLI = 1e-3
+MILLIGAUSS = 1e3  # of a gauss
 RATES = (
     _source("gyro.", "x y z", DEGREE),
     _source("ctrlLee.omega", "x y z", 1.0),
@@ -80,7 +81,7 @@ PID = _source("controller.cmd_", "thrust roll pitch yaw", 1.0)
 FIRST: Mapping[str, Sequence[Source]] = {
     "gyros": RATES,
     "accelerometers": (_source("acc.", "x y z", STANDARD_GRAVITY),),
-    "magnetometer": (_source("mag.", "x y z", 1.0),),
+    "magnetometers": (_source("mag.", "x y z", MILLIGAUSS),),
     "position": (_source("stateEstimate.", "x y z", 1.0), _source("stateEstimateZ.", "x y z", MILLI)),
     "velocity": (_source("stateEstimate.", "vx vy vz", 1.0), _source("stateEstimateZ.", "vx vy vz", MILLI)),
     "acceleration": (

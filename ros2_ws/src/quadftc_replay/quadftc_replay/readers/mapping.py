@@ -9,7 +9,7 @@
     columns = ["gx", "gy", "gz"]
     unit = "deg/s"
     frame = "frd"                    # axes; flu is taken without it
-    name = "2"                       # of another gyro or accelerometer than the main one
+    name = "2"                       # of another sensor than the main one of its kind
 
 Beside them may stand ``vehicle = "NAME"``, for the layout of the rotors, and ``attitude_from_gyro``, whether
 the attitude was computed from this gyro. Commands of rotors in pulses have their ends as ``low``, ``high``.
@@ -31,6 +31,7 @@ from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_fr
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Floats
+from quadftc_replay.readers.signals import NAMED
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -71,6 +72,7 @@ _RATE = {"rad/s": 1.0, "deg/s": _DEGREE, "mrad/s": 1e-3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _SPEED = {f"{unit}/s": scale for unit, scale in _LENGTH.items()}
 _FORCE = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}
+_FIELD = {"mG": 1.0, "G": 1e3, "uT": 10.0, "T": 1e7, "1": 1.0}
 _BODY: dict[str, Turn] = {"flu": _keep, "frd": flu_from_frd}
 _EARTH: dict[str, Turn] = {"enu": _keep, "ned": enu_from_ned}
 _ATTITUDE: dict[str, Turn] = {"enu": _attitude_of_enu, "ned": _attitude_of_ned}
@@ -78,12 +80,14 @@ _THREE, _ROTORS, _ONE = range(3, 4), range(2, MOST_ROTORS + 1), range(1, 2)
 QUANTITIES = {
     "gyro": Quantity("gyros", _THREE, _RATE, _BODY),
     "accelerometer": Quantity("accelerometers", _THREE, _FORCE, _BODY),
-    "magnetometer": Quantity("magnetometer", _THREE, {"1": 1.0}, _BODY),
+    "magnetometer": Quantity("magnetometers", _THREE, _FIELD, _BODY),
+    "barometer": Quantity("barometers", _ONE, _LENGTH, {}),
     "attitude": Quantity("attitude", range(3, 5), {"rad": 1.0, "deg": _DEGREE, "1": 1.0}, _ATTITUDE),
     "body_rate": Quantity("body_rate", _THREE, _RATE, _BODY),
     "position": Quantity("position", _THREE, _LENGTH, _EARTH),
     "velocity": Quantity("velocity", _THREE, _SPEED, _EARTH),
-    "gps_velocity": Quantity("gps_velocity", _THREE, _SPEED, _EARTH),
+    "gps_position": Quantity("gps_positions", _THREE, _LENGTH, _EARTH),
+    "gps_velocity": Quantity("gps_velocities", _THREE, _SPEED, _EARTH),
     "acceleration": Quantity("acceleration", _THREE, _FORCE, _EARTH),
     "rotor_speeds": Quantity("rotor_speeds", _ROTORS, {"rad/s": 1.0, "rpm": math.pi / 30.0}, {}),
     "rotor_commands": Quantity("rotor_commands", _ROTORS, {"1": 1.0, "%": 0.01, "us": 1.0}, {}),
@@ -132,8 +136,8 @@ class SignalColumns(_Keys):
             return f"unit '{self.unit}' of {self.quantity}; expected {', '.join(units)}"
         if self.frame and self.frame not in kind.frames:
             return f"frame '{self.frame}' of {self.quantity}; expected {', '.join(kind.frames) or 'none'}"
-        if self.name and kind.field not in ("gyros", "accelerometers"):
-            return f"name '{self.name}' of {self.quantity}; only a gyro or an accelerometer has one"
+        if self.name and kind.field not in NAMED:
+            return f"name '{self.name}' of {self.quantity}; only a sensor has one"
         return self._range_problem()
 
     def _range_problem(self) -> str:

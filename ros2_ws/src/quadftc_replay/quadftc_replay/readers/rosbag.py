@@ -54,6 +54,7 @@ MAIN_IMU, POSITION, TORQUE = "imu/data", "position/data", "torque/command"
 # what `quadftc run` records beside the sensors: the truth, and what nodes made of the samples
 BESIDE = {MAIN_IMU: ("plant/imu", "imu/corrected"), POSITION: ("plant/odometry", "position/estimate")}
 WISHES = re.compile(r"setpoint|reference|command|goal|target|desired", re.IGNORECASE)
+MILLIGAUSS = 1e7  # of a tesla
 OUTSIDE = re.compile(r"mocap|motion_capture|vicon|vrpn|optitrack|natnet|qualisys|phasespace", re.IGNORECASE)
 
 
@@ -109,9 +110,11 @@ def read(path: Path) -> FlightLog:
     is_outside = vehicle is not None and signals.has("attitude")  # `quadftc run` has a sensor of the attitude
     if source := _add_motion(signals, topics):
         is_outside = OUTSIDE.search(source) is not None
-    for kind, field, column in ((FIELD, "magnetometer", "magnetic_field"), (BATTERY, "battery", "voltage")):
-        if name := topics.best(kind):
-            signals.add(field, topics[name]["stamp_ns"], topics[name][column], name)
+    if name := topics.best(FIELD):
+        field = MILLIGAUSS * topics[name]["magnetic_field"]
+        signals.add("magnetometers", topics[name]["stamp_ns"], field, name)
+    if name := topics.best(BATTERY):
+        signals.add("battery", topics[name]["stamp_ns"], topics[name]["voltage"], name)
     add_rotors(signals, topics.kinds, topics.data, vehicle)
     if name := topics.best(VECTOR, TORQUE):
         signals.add("torque_command", topics[name]["stamp_ns"], topics[name]["vector"], name)

@@ -17,7 +17,10 @@ from quadftc_replay.flight_log import Event, FlightLog, Floats, Signal
 Stamps = NDArray[np.int64]
 MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a damaged stamp
 LARGEST = 1e9  # of a parameter
-NAMED = ("gyros", "accelerometers")
+NAMED = (
+    *("gyros", "accelerometers", "magnetometers", "barometers"),
+    *("gps_positions", "gps_velocities", "gps_status"),
+)  # fields of which a log may have several
 MOST_EVENTS, LONGEST_EVENT = 500, 120  # of a log; characters
 MOST_LOST = 0.05  # 1; share of the samples of a signal, beyond which the log is not whole
 CUT = ("cut short", "cut or damaged", "damaged; read")  # words of a reader that did not get to the end
@@ -52,7 +55,7 @@ class Signals:
     def add(self, field: str, stamp_ns: Stamps, value: ArrayLike, source: str, name: str = "") -> bool:
         """Take a signal for a field of `FlightLog`; whether two samples or more are left of it.
 
-        ``source`` is its name in the log, for notes; ``name`` that of a gyro or accelerometer.
+        ``source`` is its name in the log, for notes; ``name`` tells several of a kind apart.
         """
         rows = np.asarray(value, np.float64)
         rows = rows.reshape(len(stamp_ns), -1)
@@ -79,7 +82,7 @@ class Signals:
         return bool(self._named.get(field)) or field in self._single
 
     def names(self, field: str) -> list[str]:
-        """Names of the gyros or accelerometers."""
+        """Names of the signals of a kind."""
         return list(self._named[field])
 
     def flight_log(self, **known: Any) -> FlightLog:

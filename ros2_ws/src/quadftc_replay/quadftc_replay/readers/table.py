@@ -52,7 +52,9 @@ def read(path: Path, mapping: Path) -> FlightLog:
         field, name = QUANTITIES[each.quantity].field, f"{each.quantity} {each.name}".strip()
         signals.add(field, stamp_ns, each.convert(value), name, each.name)
     torque_units = [each.unit for each in meaning.signal if each.quantity == "torque_command"]
+    field_units = [each.unit for each in meaning.signal if each.quantity == "magnetometer"]
     return signals.flight_log(
+        field_unit="" if "1" in field_units else None,
         vehicle=meaning.vehicle or None,
         attitude_from_gyro=meaning.attitude_from_gyro,
         torque_unit=torque_units[0] if torque_units else None,

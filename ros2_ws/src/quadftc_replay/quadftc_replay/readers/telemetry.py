@@ -4,7 +4,9 @@
 |---|---|
 | gyros, accelerometers | ``HIGHRES_IMU`` [rad/s, m/s²], ``SCALED_IMU``, 2, 3 [mrad/s, mg] |
 | the same of ArduPilot | ``RAW_IMU`` [mrad/s, mg] |
-| magnetometer | that of the first of them |
+| magnetometers | those of them [gauss, mgauss] |
+| barometers | ``SCALED_PRESSURE``, 2, 3 [hPa] |
+| satellites | ``GPS_RAW_INT``, ``GPS2_RAW`` [1e-7 deg, mm, cm/s, cdeg]; height alone without vertical speed |
 | attitude | ``ATTITUDE_QUATERNION`` or ``ATTITUDE`` [rad], whichever there is more of |
 | body rate | ``ATTITUDE`` [rad/s], without a gyro |
 | position, velocity | ``LOCAL_POSITION_NED`` [m, m/s], else ``GLOBAL_POSITION_INT`` [1e-7 deg, mm, cm/s] |
@@ -40,6 +42,7 @@ from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.mavlink import RECEIVED, read_telemetry
 from quadftc_replay.readers.ardupilot_tables import OUTPUTS, add_rotors
+from quadftc_replay.readers.positioning import Fixes, add_receiver, pressure_height
 from quadftc_replay.readers.signals import Signals, Stamps, columns, sound
 
 FORMAT = "MAVLink tlog"
@@ -54,10 +57,14 @@ IMUS = {
     "SCALED_IMU2": ((MILLI, MILLI * STANDARD_GRAVITY), "2"),
     "SCALED_IMU3": ((MILLI, MILLI * STANDARD_GRAVITY), "3"),
 }
+PRESSURES = {"SCALED_PRESSURE": "", "SCALED_PRESSURE2": "2", "SCALED_PRESSURE3": "3"}
+RECEIVERS = {"GPS_RAW_INT": "", "GPS2_RAW": "2"}
 ESCS = {"ESC_TELEMETRY_1_TO_4": 0, "ESC_TELEMETRY_5_TO_8": 4, "ESC_TELEMETRY_9_TO_12": 8}  # first output
 NAMES = (
     *("HEARTBEAT", "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"),
     *("SERVO_OUTPUT_RAW", "SYS_STATUS", "PARAM_VALUE", "STATUSTEXT", *IMUS, *ESCS),
+    *PRESSURES,
+    *RECEIVERS,
 )
 MOVING = ("ATTITUDE", "ATTITUDE_QUATERNION", "SERVO_OUTPUT_RAW", *IMUS)  # what only a vehicle sends
 ARDUPILOT = 3  # MAV_AUTOPILOT
@@ -65,6 +72,8 @@ STEP_BACK = 1_000_000  # µs; a clock that goes back by more was set anew
 RADIUS = 6_371_000.0  # m, of the earth
 DEGREE = math.pi / 180.0  # rad
 NO_VOLTAGE = 65535  # mV
+NOT_KNOWN = 65535  # of a speed
+HECTOPASCAL = 100.0  # Pa
 
 
 def read(path: Path, system: int = 0) -> FlightLog:
@@ -74,6 +83,7 @@ def read(path: Path, system: int = 0) -> FlightLog:
     signals = Signals(path, FORMAT)
     signals.notes += [*note, *log.notes]
     _add_imus(signals, messages)
+    _add_navigation(signals, messages)
     _add_states(signals, messages)
     for stamp, text in _texts(messages):
         signals.say(stamp, "STATUSTEXT", text)
@@ -138,8 +148,32 @@ def _add_imus(signals: Signals, messages: Mapping[str, Table]) -> None:
             if np.any(value):
                 signals.add(field, stamp_ns, value, name, key)
         field = flu_from_frd(columns(table, ("xmag", "ymag", "zmag")))
-        if not signals.has("magnetometer") and np.any(field):
-            signals.add("magnetometer", stamp_ns, field, name)
+        if np.any(field):
+            unit = 1.0 / MILLI if name == "HIGHRES_IMU" else 1.0
+            signals.add("magnetometers", stamp_ns, unit * field, name, key)
+
+
+def _add_navigation(signals: Signals, messages: Mapping[str, Table]) -> None:
+    """Add barometers and satellite receivers."""
+    for name, key in PRESSURES.items():
+        if (table := messages.get(name)) and np.any(table["press_abs"]):
+            height = pressure_height(HECTOPASCAL * table["press_abs"].astype(np.float64))
+            signals.add("barometers", stamps_of(table), height, name, key)
+    for name, key in RECEIVERS.items():
+        if not (table := messages.get(name)):
+            continue
+        latitude, longitude, height, speed, course = columns(table, ("lat", "lon", "alt", "vel", "cog")).T
+        speed, course = 0.01 * np.where(speed < NOT_KNOWN, speed, np.nan), 0.01 * DEGREE * course
+        flat = [speed * np.sin(course), speed * np.cos(course), np.full(len(speed), np.nan)]
+        claimed = MILLI * table["h_acc"].astype(np.float64) if "h_acc" in table else np.zeros(len(speed))
+        said = Fixes(
+            *(1e-7 * latitude, 1e-7 * longitude, MILLI * height),
+            velocity=np.stack(flat, axis=-1),
+            fix=table["fix_type"].astype(np.float64),
+            satellites=table["satellites_visible"].astype(np.float64),
+            accuracy=np.where(claimed > 0.0, claimed, np.nan),
+        )
+        add_receiver(signals, stamps_of(table), said, name, key)
 
 
 def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:

@@ -6,15 +6,17 @@
 | gyro | ``sensor_combined.gyro_rad`` or ``vehicle_angular_velocity.xyz``, the faster |
 | other gyros, accelerometers | ``vehicle_imu``, ``sensor_gyro``, ``sensor_accel`` of other instances |
 | accelerometer | ``sensor_combined.accelerometer_m_s2`` or ``vehicle_acceleration.xyz``, the faster |
-| magnetometer | ``vehicle_magnetometer.magnetometer_ga`` |
+| magnetometers | ``vehicle_magnetometer.magnetometer_ga`` of each instance, else ``sensor_mag`` |
+| barometers | ``vehicle_air_data.baro_alt_meter``, other ``sensor_baro.pressure`` |
 | attitude | ``vehicle_attitude.q`` |
 | position, velocity, acceleration | ``vehicle_local_position`` |
-| velocity by satellites | ``vehicle_gps_position`` or ``sensor_gps``: ``vel_n_m_s`` ... [m/s] |
+| satellites | ``vehicle_gps_position``, else ``sensor_gps``: position, velocity, fix, ``eph`` |
 | events | messages, ``failure_detector_status``, ``estimator_selector_status``, resets of the attitude |
 | rotor speeds | ``esc_status.esc[].esc_rpm`` |
 | rotor commands | ``actuator_motors.control``, else ``actuator_outputs.output`` over its range |
 | torque, thrust command | ``vehicle_torque_``, ``vehicle_thrust_setpoint``; else ``actuator_controls_0`` |
 | battery | ``battery_status.voltage_v`` |
+| vibration, clips | ``vehicle_imu_status.accel_vibration_metric``, ``accel_clipping`` of the first IMU |
 | layout of the rotors | ``CA_ROTOR*_PX``, ``PY``, ``KM``; else the airframe ``SYS_AUTOSTART`` |
 
 Stamps are those of the sensor sample (``timestamp_sample`` where there is one), since the start of the
@@ -34,18 +36,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
 from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.layouts import Layout, frame_layout
-from quadftc_replay.readers.signals import Signals, Stamps, columns, rate_of, sound, thrust_of_throttle
+from quadftc_replay.readers.signals import Signals, rate_of, sound, thrust_of_throttle
+from quadftc_replay.readers.ulog_datasets import Dataset, fields_of, stamps_of, vectors
+from quadftc_replay.readers.ulog_navigation import NAVIGATION, add_navigation
 from quadftc_replay.thinning import Messages
 
 FORMAT = "PX4 ULog"
-Dataset = Mapping[str, NDArray[Any]]  # field, elements as name[k] -> (n,)
 
 GYROS = {"sensor_combined": "gyro_rad", "vehicle_angular_velocity": "xyz"}
 FORCES = {"sensor_combined": "accelerometer_m_s2", "vehicle_acceleration": "xyz"}
@@ -54,15 +56,15 @@ INSTANCES = {
     "gyros": {"vehicle_imu": ("delta_angle", "delta_angle_dt"), "sensor_gyro": ("", "")},
     "accelerometers": {"vehicle_imu": ("delta_velocity", "delta_velocity_dt"), "sensor_accel": ("", "")},
 }
-ATTITUDE, POSITION, MAGNETOMETER = "vehicle_attitude", "vehicle_local_position", "vehicle_magnetometer"
+ATTITUDE, POSITION = "vehicle_attitude", "vehicle_local_position"
 MOTORS, OUTPUTS, ESCS, BATTERY = "actuator_motors", "actuator_outputs", "esc_status", "battery_status"
 TORQUE, THRUST, CONTROLS = "vehicle_torque_setpoint", "vehicle_thrust_setpoint", "actuator_controls_0"
-SELECTION = "sensor_selection"
-SATELLITES = ("vehicle_gps_position", "sensor_gps")
+SELECTION, IMU_STATUS = "sensor_selection", "vehicle_imu_status"
 DETECTOR, SELECTOR = "failure_detector_status", "estimator_selector_status"
 TOPICS = (
-    *(ATTITUDE, POSITION, MAGNETOMETER, MOTORS, OUTPUTS, ESCS, BATTERY, TORQUE, THRUST, CONTROLS, SELECTION),
-    *(*SATELLITES, DETECTOR, SELECTOR),
+    *(ATTITUDE, POSITION, MOTORS, OUTPUTS, ESCS, BATTERY, TORQUE, THRUST, CONTROLS, SELECTION),
+    IMU_STATUS,
+    *(*NAVIGATION, DETECTOR, SELECTOR),
     *dict.fromkeys([*GYROS, *FORCES, *INSTANCES["gyros"], *INSTANCES["accelerometers"]]),
 )
 INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
@@ -108,6 +110,7 @@ def read(path: Path) -> FlightLog:
     for field, topics in INSTANCES.items():
         _add_others(signals, log, field, topics)
     _add_states(signals, log)
+    add_navigation(signals, log.data)
     _add_events(signals, log)
     rotors = _add_rotors(signals, log)
     _add_setpoints(signals, log)
@@ -167,23 +170,6 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
     return Contents(data, sound(log.initial_parameters), log.file_corruption, tuple(notes), messages)
 
 
-def stamps_of(data: Dataset) -> Stamps:
-    """Time of each sample [ns] (n,)."""
-    micro = data["timestamp"].astype(np.int64)
-    sampled = data.get("timestamp_sample", micro).astype(np.int64)
-    return np.where(sampled > 0, sampled, micro) * 1000
-
-
-def vectors(data: Dataset, field: str, width: int = 3) -> Floats | None:
-    """Elements of a field (n, width); None if they are not there."""
-    names = [f"{field}[{k}]" for k in range(width)]
-    return columns(data, names) if all(name in data for name in names) else None
-
-
-def _fields(data: Dataset, *names: str) -> Floats | None:
-    return columns(data, names) if all(name in data for name in names) else None
-
-
 def _add_main(signals: Signals, log: Contents, field: str, topics: Mapping[str, str]) -> None:
     """Add the sensor that flies the vehicle, from the topic that has most samples."""
     there = [name for name in topics if (data := log.get(name)) and f"{topics[name]}[0]" in data]
@@ -217,7 +203,7 @@ def _add_others(signals: Signals, log: Contents, field: str, topics: Mapping[str
         if rate_of(stamps_of(data)) < LEAST_RATE:
             slow.append(name)
             continue
-        value = vectors(data, element) if element else _fields(data, "x", "y", "z")
+        value = vectors(data, element) if element else fields_of(data, "x", "y", "z")
         if value is not None and period:
             with np.errstate(divide="ignore", invalid="ignore"):
                 value = value / (1e-6 * data[period].astype(np.float64))[:, None]
@@ -234,7 +220,7 @@ def _main_device(log: Contents, key: str) -> int | None:
 
 
 def _add_states(signals: Signals, log: Contents) -> None:
-    """Add attitude, position, velocity, acceleration, magnetometer and battery."""
+    """Add attitude, position, velocity, acceleration and battery."""
     if data := log.get(ATTITUDE):
         if (q_wxyz := vectors(data, "q", 4)) is not None:
             signals.add("attitude", stamps_of(data), enu_flu_from_ned_frd(q_wxyz), ATTITUDE)
@@ -242,16 +228,15 @@ def _add_states(signals: Signals, log: Contents) -> None:
     if data := log.get(POSITION):
         fields = {"position": "x y z", "velocity": "vx vy vz", "acceleration": "ax ay az"}
         for field, names in fields.items():
-            if (value := _fields(data, *names.split())) is not None:
+            if (value := fields_of(data, *names.split())) is not None:
                 signals.add(field, stamps_of(data), enu_from_ned(value), f"{POSITION}: {names}")
-    satellites = next(filter(None, map(log.get, SATELLITES)), None)
-    if satellites and (value := _fields(satellites, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")) is not None:
-        signals.add("gps_velocity", stamps_of(satellites), enu_from_ned(value), "GPS")
-    data = log.get(MAGNETOMETER)
-    if data and (value := vectors(data, "magnetometer_ga")) is not None:
-        signals.add("magnetometer", stamps_of(data), flu_from_frd(value), MAGNETOMETER)
     if (data := log.get(BATTERY)) and "voltage_v" in data:
         signals.add("battery", stamps_of(data), data["voltage_v"], BATTERY)
+    if (data := log.get(IMU_STATUS)) and "accel_vibration_metric" in data:
+        level = data["accel_vibration_metric"] / math.sqrt(3.0)
+        signals.add("vibration", stamps_of(data), level, IMU_STATUS)
+        if (clips := vectors(data, "accel_clipping")) is not None:
+            signals.add("clips", stamps_of(data), clips.sum(axis=1), IMU_STATUS)
 
 
 def _add_events(signals: Signals, log: Contents) -> None:

@@ -1,0 +1,65 @@
+"""Where a vehicle is by satellites and by the pressure of the air.
+
+A receiver's position counts in metres from its first fix in space, by the radii of curvature of WGS 84 there.
+Height by pressure is that of the standard atmosphere (ISO 2533).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadftc_replay.flight_log import Floats
+from quadftc_replay.readers.signals import Signals, Stamps
+
+SEMI_MAJOR, ECCENTRICITY_SQUARED = 6_378_137.0, 6.694379990e-3  # m, 1; of WGS 84
+SEA_LEVEL, SCALE_HEIGHT, EXPONENT = 101_325.0, 44_330.77, 0.190263  # Pa, m, 1; of the standard atmosphere
+IN_SPACE = 3  # fix with which a position has a height, as NMEA and MAVLink count
+
+
+class Fixes(NamedTuple):
+    """What a receiver says, sample by sample; NaN where it does not say."""
+
+    latitude: Floats  # (n,) [deg]
+    longitude: Floats  # (n,) [deg]
+    height: Floats  # (n,) [m]
+    velocity: Floats  # (n, 3) [m/s], east, north, up
+    fix: Floats  # (n,)
+    satellites: Floats  # (n,)
+    accuracy: Floats  # (n,) standard deviation of the position [m]
+
+
+def add_receiver(signals: Signals, stamp_ns: Stamps, said: Fixes, source: str, name: str = "") -> None:
+    """Add position, velocity and status of a receiver; what it says without a fix in space is left out."""
+    fixed = np.isfinite(said.latitude) & np.isfinite(said.longitude)
+    fixed &= ~(said.fix < IN_SPACE) & ((said.latitude != 0.0) | (said.longitude != 0.0))
+    position = np.where(fixed[:, None], _local(said, fixed), np.nan)
+    signals.add("gps_positions", stamp_ns, position, source, name)
+    velocity = np.where(fixed[:, None], said.velocity, np.nan)
+    if np.any(np.nan_to_num(velocity)):
+        signals.add("gps_velocities", stamp_ns, velocity, source, name)
+    status = np.stack([said.fix, said.satellites, said.accuracy], axis=-1)
+    signals.add("gps_status", stamp_ns, status, source, name)
+
+
+def _local(said: Fixes, fixed: np.ndarray) -> Floats:
+    """East, north and up from the first fix (n, 3) [m]."""
+    if not fixed.any():
+        return np.full((len(fixed), 3), np.nan)
+    first = int(np.argmax(fixed))
+    latitude = np.radians(said.latitude[first])
+    flattened = 1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
+    east = SEMI_MAJOR / np.sqrt(flattened) * np.cos(latitude)
+    north = SEMI_MAJOR * (1.0 - ECCENTRICITY_SQUARED) / flattened**1.5
+    turned = (said.longitude - said.longitude[first] + 180.0) % 360.0 - 180.0
+    away = np.radians(np.stack([turned, said.latitude - said.latitude[first]], axis=-1))
+    return np.column_stack([away * [east, north], said.height - said.height[first]])
+
+
+def pressure_height(pressure: ArrayLike) -> Floats:
+    """Return the height [m] of a pressure [Pa]; NaN where it is none."""
+    value = np.asarray(pressure, np.float64)
+    share = np.where(value > 0.0, value, np.nan) / SEA_LEVEL
+    return SCALE_HEIGHT * (1.0 - share**EXPONENT)
