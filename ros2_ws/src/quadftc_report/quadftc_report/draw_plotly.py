@@ -83,7 +83,7 @@ def plotly_figure(figure: Figure) -> go.Figure:
             look |= {"tickvals": values, "ticktext": texts, "range": list(panel.tick_span)}
         if figure.is_map:
             look |= {"scaleanchor": "x", "scaleratio": 1.0}
-        y_axis = axis(panel.axis_label(), anchor="x", nticks=7, minexponent=5, **look)
+        y_axis = axis(panel.axis_label().replace("\n", "<br>"), anchor="x", nticks=7, minexponent=5, **look)
         drawing.update_layout({f"yaxis{suffix}": y_axis})
         for item in _traces(panel, figure.span):
             drawing.add_trace(go.Scatter(**item, yaxis=f"y{suffix}"))

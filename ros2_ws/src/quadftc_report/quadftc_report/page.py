@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -143,8 +144,8 @@ def render(
     )
 
 
-def render_template(template: str, **values: Any) -> str:
-    """Render a template: everything is escaped, and a missing value is an error."""
+@functools.cache
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("quadftc_report"),
         autoescape=True,
@@ -153,7 +154,13 @@ def render_template(template: str, **values: Any) -> str:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters["short"] = short
-    return environment.get_template(template).render(plotly_js=get_plotlyjs(), **values)
+    environment.globals["plotly_js"] = get_plotlyjs
+    return environment
+
+
+def render_template(template: str, **values: Any) -> str:
+    """Render a template: everything is escaped, and a missing value is an error."""
+    return _environment().get_template(template).render(values)
 
 
 def _heading(parts: Sequence[Section], replayed: Sequence[Section]) -> str:

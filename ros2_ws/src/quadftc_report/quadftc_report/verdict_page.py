@@ -1,33 +1,42 @@
 # pyright: basic
-"""The verdict on a flight log as one HTML page: a sentence and a picture, the timeline, the evidence."""
+"""The verdict on a flight log as one HTML page: the cause and its picture, what happened, what was judged."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import textwrap
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-import plotly.graph_objects as go
 
 from quadftc_flight.junit import write_file
-from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_model.rotations import euler_from_quaternion
+from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.found import Curve
 from quadftc_replay.inspection.inspect import Inspection
-from quadftc_replay.inspection.verdict import Finding, show, unjudged
-from quadftc_report.description import Figure, Panel, Shade, Trace
-from quadftc_report.draw_plotly import axis, empty_figure, plotly_figure, spec_of
+from quadftc_replay.inspection.verdict import Finding, Verdict, show
+from quadftc_report.description import Figure, Mark, Panel, Shade, Trace
+from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.page import render_template
-from quadftc_report.style import COMPARED, SHADES
+from quadftc_report.wording import listing
 
 PAGE = "report.html"
-ROW = 34  # px; of a component in the timeline
-JUDGED, NOT_JUDGED, FOUND, DOUBTFUL = "#c9dfd8", SHADES[3], COMPARED[0], COMPARED[3]
-SURE = 0.7  # probability from which a finding is drawn as one that is sure
-SHORTEST = 0.004  # 1; of the log: a finding is drawn so long at least
-FINDING = "finding"
-ROLES = ("proposed", "compared")
+HIGH = 1.6  # height of the panel that shows a finding, relative to the usual
+WIDEST = 34  # letters in a line beside such a panel
 MAX_ROTORS = 8  # lines in a panel
+EMPTY = Panel(title="nothing", y_label="nothing logged", unit="", traces=())
+NOTHING = Figure("nothing", "None of the main signals was logged", "", (EMPTY,), (0.0, 1.0))
+MARKS = {"fault": "✗", "not judged": "?", "no fault found": "✓"}
+
+
+class Component(NamedTuple):
+    """What is said of a component, and bars (look, begin, length) over the log [%]."""
+
+    name: str
+    outcome: str  # a key of `MARKS`
+    text: str
+    bars: tuple[tuple[str, float, float], ...]
 
 
 def write_page(inspection: Inspection, directory: Path) -> Path:
@@ -38,155 +47,127 @@ def write_page(inspection: Inspection, directory: Path) -> Path:
 
 def render_verdict(inspection: Inspection) -> str:
     """Return the page, HTML that needs no other file."""
-    verdict = inspection.verdict
-    evidence = [
-        (
-            number,
-            each.finding,
-            None if each.curve is None else _curve_figure(number, each.curve, each.finding),
-        )
-        for number, each in enumerate(inspection.found, 1)
-    ]
-    drawn = [figure for _, _, figure in evidence if figure is not None]
-    signals = _signals_figure(inspection)
+    verdict, (first, *findings), signals = inspection.verdict, *figures_of(inspection)
+    cause = min((each.onset_s for each in verdict.findings), default=np.inf)
+    early = [each for each in verdict.timeline if each.source != "diagnose" and each.time_s < cause]
     return render_template(
         "verdict.html",
         verdict=verdict,
-        first=drawn[0] if drawn else signals,
-        timeline=spec_of(_timeline(inspection), "timeline"),
-        signals=signals if drawn else None,
-        evidence=evidence,
-        unjudged=unjudged(verdict.judged, verdict.not_judged),
-        show=show,
+        first=first,
+        findings=findings,
+        signals=signals,
+        early=early,
+        moments=[each for each in verdict.timeline if each not in early],
+        components=sorted(_components(inspection), key=lambda each: [*MARKS].index(each.outcome)),
+        marks=MARKS,
         spec=lambda figure: spec_of(plotly_figure(figure), figure.key),
     )
 
 
-def _curve_figure(number: int, curve: Curve, finding: Finding) -> Figure | None:
-    if len(curve.time) < 2:
-        return None
-    span = float(curve.time[0]), float(curve.time[-1])
-    end = span[1] if finding.end_s is None else min(finding.end_s, span[1])
-    shades = (Shade(max(finding.onset_s, span[0]), max(end, span[0]), FINDING, 1),)
-    traces = tuple(_traces(curve.time, curve.lines))
-    panel = Panel(
-        title=curve.title,
-        y_label=curve.title,
-        unit=curve.unit.replace("^2", "²"),
-        traces=traces,
-        shades=shades,
-    )
-    caption = "; ".join(finding.evidence[:1])
-    caption = f"{caption[:1].upper()}{caption[1:]}."
-    return Figure(f"finding-{number}", f"{finding.name}, {finding.kind}", caption, (panel,), span)
-
-
-def _traces(time: np.ndarray, lines: Any) -> Iterator[Trace]:
-    for number, (name, values) in enumerate(lines.items()):
-        yield Trace(name, ROLES[min(number, 1)], time, np.asarray(values, float), max(number - 1, 0))
-
-
-def _signals_figure(inspection: Inspection) -> Figure:
-    """What was logged, with the findings shaded."""
-    log, verdict = inspection.flight.log, inspection.verdict
-    end = max(log.end, 1e-3)
-    shades = tuple(
-        Shade(each.onset_s, end if each.end_s is None else each.end_s, FINDING, 1)
-        for each in verdict.findings
-    )
-    panels = [
-        Panel(title=title, y_label=title, unit=unit, traces=tuple(_traces(signal.time, lines)), shades=shades)
-        for title, unit, signal, lines in _signals(log, inspection)
+def figures_of(inspection: Inspection) -> tuple[list[Figure], list[Figure]]:
+    """Draw the findings, the first cause first, else what tells most; and all else that was logged."""
+    signals, ending = list(_signals(inspection)) or [NOTHING], inspection.verdict.ending
+    drawn = [
+        _finding_figure(number, each.finding, each.curve, inspection, signals)
+        for number, each in enumerate(inspection.found, 1)
     ]
-    panels = panels or [Panel(title="nothing", y_label="nothing logged", unit="", traces=())]
-    caption = "The main sensors and the rotors over the whole log."
-    return Figure("signals", "What was logged", caption, tuple(panels), (0.0, end))
+    if drawn:
+        return drawn, signals
+    upset = ending.kind == "out of control"
+    first = next((each for each in signals if upset and each.key == "attitude"), signals[0])
+    return [first], [each for each in signals if each is not first]
 
 
-def _signals(
-    log: FlightLog, inspection: Inspection
-) -> Iterator[tuple[str, str, Signal, dict[str, np.ndarray]]]:
-    """Title, unit, samples and lines of each panel."""
-    gyro = inspection.flight.gyro
-    if gyro is not None:
-        yield "body rate", "rad/s", gyro[1], {name: gyro[1].value[:, k] for k, name in enumerate("xyz")}
-    force = next(iter(log.accelerometers.values()), None)
-    if force is not None:
-        yield "specific force", "m/s²", force, {name: force.value[:, k] for k, name in enumerate("xyz")}
-    for title, unit, rotors in (
-        ("rotor commands", "", log.rotor_commands),
-        ("rotor speeds", "rad/s", log.rotor_speeds),
-    ):
-        if rotors is not None:
-            count = min(rotors.value.shape[1], MAX_ROTORS)
-            yield title, unit, rotors, {f"rotor {k + 1}": rotors.value[:, k] for k in range(count)}
-    if log.battery is not None:
-        yield "battery", "V", log.battery, {"voltage": log.battery.value[:, 0]}
+def describe(finding: Finding) -> str:
+    """Say the figures of a finding: when, how much, how sure."""
+    until = "" if finding.end_s is None else f" to {finding.end_s:.2f} s"
+    size = "" if finding.size is None else f"; size {show(finding.size, finding.unit)}"
+    if size and finding.sigma is not None:
+        size += f" ± {show(finding.sigma, finding.unit)} (1 σ)"
+    others = [each.replace("/", " ") for each in finding.ambiguous_with]
+    doubt = f"; or {listing(others)}" if others else ""
+    sure = f"; probability {100.0 * finding.probability:.3g} %"
+    return f"from {finding.onset_s:.2f} s{until}{size}{sure}{doubt}"
 
 
-def _timeline(inspection: Inspection) -> go.Figure:
-    """Bars over time: what was judged of each component, and what was found."""
-    verdict, end = inspection.verdict, max(inspection.flight.log.end, 1e-3)
-    names = [*dict.fromkeys([*verdict.judged, *(each.component for each in verdict.findings)])]
-    missing = unjudged(verdict.judged, verdict.not_judged)
-    rows = [*names, *(name for name in missing if name not in names)]
-    bars = list(_bars(verdict.findings, inspection, names, missing, end))
-    drawing = empty_figure(
-        ROW * len(rows) + 110,
-        40,
-        barmode="overlay",
-        hovermode="closest",
-        xaxis=axis("time [s]", range=[0.0, end]),
-        yaxis=axis("", categoryorder="array", categoryarray=rows[::-1], type="category"),
-        bargap=0.25,
+def _finding_figure(
+    number: int, finding: Finding, curve: Curve | None, inspection: Inspection, signals: list[Figure]
+) -> Figure:
+    """Draw the curve that shows a finding, its onset marked; without one, its component's signal."""
+    said = [describe(finding), *finding.evidence]
+    caption = " ".join(f"{line[:1].upper()}{line[1:]}." for line in said)
+    key, title = f"finding-{number}", f"{finding.name}: {finding.kind}"
+    if curve is not None and len(curve.time) > 1:
+        span = float(curve.time[0]), float(curve.time[-1])
+        label = textwrap.fill(f"{curve.title} [{curve.unit.replace('^2', '²')}]", WIDEST)
+        traces = _traces(curve.time, curve.lines)
+        panel = Panel(title=curve.title, y_label=label, unit="", traces=traces, height=HIGH)
+    else:
+        component = finding.component.split()[0]
+        like = next((each for each in signals if each.key.startswith(component)), signals[0])
+        panel, span = like.panels[0], like.span
+    end = span[1] if finding.end_s is None else min(finding.end_s, span[1])
+    shades = (Shade(max(finding.onset_s, span[0]), max(end, span[0]), "fault"),)
+    marks = (Mark(finding.onset_s, f"onset, {finding.onset_s:.2f} s"),)
+    shown = Panel(**{**vars(panel), "shades": shades, "marks": marks})
+    return Figure(key, f"{title[:1].upper()}{title[1:]}", caption, (shown,), span)
+
+
+def _traces(time: np.ndarray, lines: Mapping[str, np.ndarray]) -> tuple[Trace, ...]:
+    """Draw the first line solid, the others in colours and dashes of their own."""
+    return tuple(
+        Trace(name, "compared" if number else "truth", time, np.asarray(values, float), max(number - 1, 0))
+        for number, (name, values) in enumerate(lines.items())
     )
-    drawing.update_layout(margin={"l": 130, "r": 16, "t": 40, "b": 48})
-    for name, colour, parts in bars:
-        drawing.add_trace(
-            go.Bar(
-                name=name,
-                orientation="h",
-                y=[row for row, _, _, _ in parts],
-                base=[start for _, start, _, _ in parts],
-                x=[length for _, _, length, _ in parts],
-                text=[text for _, _, _, text in parts],
-                textposition="none",
-                hovertemplate="%{y}: %{text}<extra></extra>",
-                marker={"color": colour, "line": {"width": 0}},
-            )
+
+
+def _signals(inspection: Inspection) -> Iterator[Figure]:
+    """Draw the main sensors and the rotors over the whole log; each with the onset of the first cause."""
+    end = max(inspection.flight.log.end, 1e-3)
+    marks = tuple(Mark(each.onset_s, f"{each.name}: {each.kind}") for each in inspection.verdict.findings[:1])
+    for key, title, unit, signal, names in _logged(inspection):
+        traces = _traces(signal.time, dict(zip(names, signal.value.T, strict=False)))
+        panel = Panel(title=title, y_label=title, unit=unit, traces=traces, marks=marks)
+        yield Figure(key, f"{title[:1].upper()}{title[1:]}", "", (panel,), (0.0, end))
+
+
+def _logged(inspection: Inspection) -> Iterator[tuple[str, str, str, Signal, list[str]]]:
+    """Component, title, unit, samples and the names of their columns."""
+    log, gyro = inspection.flight.log, inspection.flight.gyro
+    if gyro is not None:
+        yield "gyro", "body rate", "rad/s", gyro[1], [*"xyz"]
+    for force in [*log.accelerometers.values()][:1]:
+        yield "accelerometer", "specific force", "m/s²", force, [*"xyz"]
+    if log.attitude is not None:
+        angles = np.degrees(euler_from_quaternion(log.attitude.value))
+        yield "attitude", "attitude", "deg", Signal(log.attitude.time, angles), ["roll", "pitch"]
+    rotors = [f"rotor {number}" for number in range(1, MAX_ROTORS + 1)]
+    if log.rotor_speeds is not None:
+        yield "rotor-speeds", "rotor speeds", "rad/s", log.rotor_speeds, rotors
+    if log.rotor_commands is not None:
+        yield "rotor-commands", "rotor commands", "1", log.rotor_commands, rotors
+    if log.battery is not None:
+        yield "battery", "battery", "V", log.battery, ["voltage"]
+
+
+def _components(inspection: Inspection) -> Iterator[Component]:
+    """Say of each component what was found, or why it was not judged."""
+    verdict, end = inspection.verdict, max(inspection.flight.log.end, 1e-3)
+    flights = [("judged", each.start, each.end) for each in inspection.flight.intervals]
+    for name in _names(verdict):
+        found = [each for each in verdict.findings if each.component == name]
+        reasons = [f"not judged: {each.reason}" for each in verdict.not_judged if each.component == name]
+        texts = [f"{each.name}: {each.kind} {describe(each).partition(';')[0]}" for each in found]
+        faults = [("fault", each.onset_s, end if each.end_s is None else each.end_s) for each in found]
+        bars = [*(flights if name in verdict.judged else [("open", 0.0, end)]), *faults]
+        outcome = "fault" if found else "no fault found" if name in verdict.judged else "not judged"
+        texts += [outcome] if outcome == "no fault found" else []
+        shares = tuple(
+            (look, 100.0 * start / end, 100.0 * (stop - start) / end) for look, start, stop in bars
         )
-    return drawing
+        yield Component(name, outcome, "; ".join([*texts, *reasons]), shares)
 
 
-def _bars(
-    findings: Sequence[Finding],
-    inspection: Inspection,
-    names: Sequence[str],
-    missing: Sequence[str],
-    end: float,
-) -> Iterator[tuple[str, str, list[tuple[str, float, float, str]]]]:
-    """Name, colour and bars (row, begin, length, text) of each kind."""
-    flights = [(each.start, each.end - each.start) for each in inspection.flight.intervals]
-    judged = [(name, start, length, "judged, in flight") for name in names for start, length in flights]
-    if judged:
-        yield "judged", JUDGED, judged
-    if missing:
-        reasons = {name: "; ".join(_reasons(inspection, name)) for name in missing}
-        yield "not judged", NOT_JUDGED, [(name, 0.0, end, reasons[name]) for name in missing]
-    for title, colour, is_sure in (("fault", FOUND, True), ("doubtful", DOUBTFUL, False)):
-        parts = [
-            (each.component, each.onset_s, _length(each, end), f"{each.element} {each.kind}".strip())
-            for each in findings
-            if (each.probability >= SURE) is is_sure
-        ]
-        if parts:
-            yield title, colour, parts
-
-
-def _length(finding: Finding, end: float) -> float:
-    stop = end if finding.end_s is None else finding.end_s
-    return max(stop - finding.onset_s, SHORTEST * end)
-
-
-def _reasons(inspection: Inspection, component: str) -> list[str]:
-    return [each.reason for each in inspection.verdict.not_judged if each.component == component]
+def _names(verdict: Verdict) -> list[str]:
+    found = [each.component for each in verdict.findings]
+    return [*dict.fromkeys([*found, *verdict.judged, *(each.component for each in verdict.not_judged)])]
