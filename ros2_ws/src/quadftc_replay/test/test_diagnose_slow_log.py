@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -90,12 +91,17 @@ def fly(
     )
 
 
+@functools.cache
+def healthy() -> FlightLog:
+    return fly()
+
+
 def judge(log: FlightLog) -> Verdict:
     return inspect(log).verdict
 
 
 def test_healthy_flight_is_healthy_as_all_of_it_was_judged():
-    verdict = judge(fly())
+    verdict = judge(healthy())
     assert (verdict.outcome, verdict.findings, verdict.advice) == ("healthy", (), ())
     assert verdict.ending.kind == "in flight"
 
@@ -154,3 +160,88 @@ def test_rotors_that_are_switched_off_in_the_air_are_no_fault():
     assert (verdict.outcome, verdict.ending.kind) == ("healthy", "switched off in the air")
     assert verdict.ending.time_s == pytest.approx(20.0, abs=0.2)
     assert verdict.sentence.startswith("The rotors were stopped in the air")
+
+
+def with_flown(turned: float = 0.0, moved: float = 0.0, events: tuple[Event, ...] = ()) -> FlightLog:
+    """A healthy flight with the position and lean that its controller sees, wrong from `ONSET` on."""
+    log = healthy()
+    assert log.attitude is not None
+    assert log.velocity is not None
+    time = log.attitude.time
+    late = (time >= ONSET)[:, None]
+    up = to_earth(log.attitude.value, np.array([0.0, 0.0, 1.0]))
+    lean = 9.80665 * (up[:, 0] + 1j * up[:, 1]) / up[:, 2] * np.exp(1j * turned * late[:, 0])
+    position = np.cumsum(
+        np.vstack([np.zeros(3), np.diff(log.velocity.time)[:, None] * log.velocity.value[1:]]), 0
+    )
+    own = Signal(log.velocity.time, position)
+    return dataclasses.replace(
+        log,
+        position=own,
+        flown_position=Signal(time, own.at(time) + late * [0.0, moved, 0.0]),
+        flown_acceleration=Signal(time, np.stack([lean.real, lean.imag], axis=-1)),
+        events=events,
+    )
+
+
+def test_position_that_changes_on_its_way_to_the_controller_is_named():
+    assert judge(with_flown()).outcome == "healthy"
+    (found,) = judge(with_flown(moved=6.0)).findings
+    assert (found.component, found.element, found.ambiguous_with) == ("position", "north", ("gps",))
+    assert (found.onset_s, found.size) == pytest.approx((ONSET, 6.0), abs=0.15)
+
+
+def test_heading_that_changes_on_its_way_to_the_controller_is_named():
+    (found,) = judge(with_flown(turned=0.4)).findings
+    assert (found.component, found.element, found.size) == ("attitude", "yaw", pytest.approx(0.4, abs=0.05))
+
+
+def test_words_of_the_autopilot_choose_between_causes_that_look_alike():
+    said = (Event(ONSET + 0.1, "MSG", "GPS 1 glitch"),)
+    (found,) = judge(with_flown(moved=6.0, events=said)).findings
+    assert (found.component, found.ambiguous_with) == ("gps", ("position/north",))
+    assert "GPS 1 glitch" in found.evidence[-1]
+
+
+@pytest.mark.parametrize(
+    ("text", "outcome"),
+    [
+        ("EKF variance", "not enough to say"),
+        ("Radio failsafe: error 1", "healthy"),
+        ("Reached waypoint 3", "healthy"),
+    ],
+)
+def test_failure_that_the_autopilot_alone_reports_leaves_the_outcome_open(text: str, outcome: str):
+    verdict = judge(dataclasses.replace(healthy(), events=(Event(10.0, "MSG", text),)))
+    assert (verdict.outcome, verdict.findings) == (outcome, ())
+    assert (text in verdict.sentence) == (outcome != "healthy")
+
+
+def with_vibration(level: float, before: float = 1.0) -> FlightLog:
+    time = np.arange(0.0, 25.0, 0.2)
+    values = np.where(time < ONSET, before, level)[:, None]
+    clips = Signal(time, np.cumsum(time > 20.0)[:, None].astype(float))
+    return dataclasses.replace(healthy(), vibration=Signal(time, values), clips=clips)
+
+
+def test_vibration_that_rises_in_flight_is_named_with_the_samples_at_the_limit():
+    assert judge(with_vibration(3.0)).outcome == "healthy"
+    (found,) = judge(with_vibration(17.0)).findings
+    assert (found.component, found.kind, found.end_s) == ("vibration", "rise", None)
+    assert (found.onset_s, found.size) == pytest.approx((ONSET, 16.0), abs=0.2)
+    assert "24 samples are at the limit" in found.evidence[1]
+
+
+def test_vibration_that_rises_and_falls_again_in_less_than_two_seconds_is_none():
+    log = with_vibration(17.0)
+    assert log.vibration is not None
+    log.vibration.value[log.vibration.time > ONSET + 1.5] = 1.0
+    assert judge(log).outcome == "healthy"
+
+
+def test_voltage_that_sags_step_by_step_is_dated_to_its_first_step():
+    time = np.arange(0.0, 25.0, 0.2)
+    volts = 12.6 - np.clip(np.ceil((time - ONSET) / 1.5), 0.0, 6.0) * 0.5
+    (found,) = judge(dataclasses.replace(healthy(), battery=Signal(time, volts[:, None]))).findings
+    assert (found.component, found.kind) == ("battery", "brownout")
+    assert found.onset_s == pytest.approx(ONSET, abs=0.3)

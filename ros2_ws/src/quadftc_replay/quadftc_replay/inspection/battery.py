@@ -8,11 +8,12 @@ import numpy as np
 
 from quadftc_replay.inspection.flight import Flight, rotor_level
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.whitening import runs_of
+from quadftc_replay.inspection.whitening import Floats, runs_of
 
 FEWEST = 10  # samples
 LEAST = 2.5  # V; of one cell that is empty
 SAG = 0.12  # 1; of the median voltage in flight
+LEFT = 0.25  # 1; share of that by which it has left the usual voltage
 LASTS = 0.3  # s
 AROUND = 5.0  # s
 
@@ -45,6 +46,7 @@ def battery_findings(flight: Flight) -> Iterator[Found]:
         if end - start < LASTS:
             continue
         lowest = float(volts[run].min())
+        start = _leaves(battery.time[: run.start + 1], volts[: run.start + 1], usual)
         said = [f"the voltage falls to {lowest:.3g} V, {100 * (1 - lowest / usual):.0f} % below the usual"]
         if level is not None:
             share = np.interp(start, level.time, level.value[:, 0]) / np.nanmedian(level.value[:, 0])
@@ -59,3 +61,9 @@ def battery_findings(flight: Flight) -> Iterator[Found]:
         )
         curve = curve_around("battery", "V", battery.time, {"voltage": volts}, (start - AROUND, end + AROUND))
         yield Found(finding, curve)
+
+
+def _leaves(time: Floats, volts: Floats, usual: float) -> float:
+    """Return when the last fall of a voltage (n,) begins that ends far below the usual [s]."""
+    still = np.flatnonzero(volts > (1.0 - LEFT * SAG) * usual)
+    return float(time[min(int(still[-1]) + 1, len(time) - 1) if len(still) else 0])

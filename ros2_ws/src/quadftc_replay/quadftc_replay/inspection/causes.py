@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from quadftc_replay.flight_log import Event
 from quadftc_replay.inspection.ending import Ending
+from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found
 from quadftc_replay.inspection.verdict import Finding
 
@@ -19,16 +20,28 @@ SLACK = 0.6  # s; tests over windows see what begins so much earlier
 AT_ONCE = 0.1  # s
 RECOVERED = 5.0  # s; after a fault that ended, within which estimators find back
 FACTS = ("stuck", "absent", "brownout")  # kinds that no motion makes
+NAVIGATION = ("magnetometer", "barometer", "gps")
 # component: what goes wrong after it, besides
 FOLLOWS = {
-    "rotor": ("rotor", "gyro", "accelerometer", "attitude"),
-    "gyro": ("rotor", "gyro", "accelerometer", "attitude"),
-    "accelerometer": ("accelerometer", "attitude"),
-    "attitude": ("attitude",),
+    "rotor": ("rotor", "gyro", "accelerometer", "attitude", *NAVIGATION),
+    "gyro": ("rotor", "gyro", "accelerometer", "attitude", *NAVIGATION),
+    "accelerometer": ("accelerometer", "attitude", "magnetometer", "gps"),
+    "attitude": ("attitude", "magnetometer"),
+    "magnetometer": ("magnetometer", "attitude", "gps"),
+    "barometer": ("barometer",),
+    "gps": ("gps", "accelerometer", "attitude", "barometer"),
 }
 LATER = {"gyro": 0.5 * SLACK, "accelerometer": 0.5 * SLACK, "attitude": SLACK}  # s
 RESETS = ("reset", "lane switch", "primary", "aligned")  # words of an estimator that starts anew
 RESET = 0.5  # s; from its words to the jump
+# words of an autopilot that something fails, and of what is no part of the vehicle
+FAILS = (
+    *("attack", "bad", "crash", "error", "fail", "fd_", "glitch", "inconsistent", "loss", "lost"),
+    *("unhealthy", "variance"),
+)
+OUTSIDE = ("gcs", "pilot", "prearm", "radio", "rc ")
+# words for a component, by which an autopilot tells of it
+WORDS = {"gps": ("GPS",), "gyro": ("Gyro", "gyro"), "accelerometer": ("Accel", "accel")}
 
 
 def first_cause(
@@ -46,8 +59,39 @@ def first_cause(
         )
         follows_one = not each.is_direct and any(_follows(finding, cause.finding) for cause in causes)
         explained = out or is_reset or follows_one
-        (follows if explained else causes).append(each)
+        (follows if explained else causes).append(_as_said(each, events))
     return causes, follows
+
+
+def reported_failure(flight: Flight) -> Event | None:
+    """Return the first failure that the autopilot reports in flight; None: it reports none."""
+    for event in flight.log.events:
+        text = event.text.lower()
+        fails = any(word in text for word in FAILS) and not any(word in text for word in OUTSIDE)
+        if fails and flight.intervals[0].start < event.time < flight.intervals[-1].end:
+            return event
+    return None
+
+
+def _as_said(found: Found, events: Sequence[Event]) -> Found:
+    """Let the autopilot's words, as it begins, choose between what the samples cannot tell apart."""
+    finding = found.finding
+    for event in events:
+        for other in finding.ambiguous_with:
+            component, _, element = other.partition("/")
+            is_said = any(word in event.text for word in WORDS.get(component, ()))
+            if is_said and abs(event.time - finding.onset_s) < RESET:
+                said = f"{event.source} at {event.time:.2f} s: {event.text}"
+                changed = finding.model_copy(
+                    update={
+                        "component": component,
+                        "element": element or finding.element,
+                        "ambiguous_with": (f"{finding.component}/{finding.element}".rstrip("/"),),
+                        "evidence": (*finding.evidence, said),
+                    }
+                )
+                return found._replace(finding=changed)
+    return found
 
 
 def _rank(found: Found) -> tuple[bool, float]:

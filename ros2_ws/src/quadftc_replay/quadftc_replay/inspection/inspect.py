@@ -14,14 +14,17 @@ from quadftc_replay.inspection.battery import battery_findings, cannot_judge_bat
 from quadftc_replay.inspection.causes import first_cause
 from quadftc_replay.inspection.ending import ending_of
 from quadftc_replay.inspection.flight import Flight, prepare
+from quadftc_replay.inspection.flown_by import flown_findings
 from quadftc_replay.inspection.found import Found
 from quadftc_replay.inspection.gyro import BODY_AXES, Witness, component_name, gyro_findings
 from quadftc_replay.inspection.gyro import LIMITS as RATE_LIMITS
+from quadftc_replay.inspection.navigation import navigation_findings
 from quadftc_replay.inspection.own_attitude import OwnEstimate, estimate, offset_finding, owner_of
 from quadftc_replay.inspection.readings import absent_findings, noise_findings, reading_findings
 from quadftc_replay.inspection.rotors import Rotors, judge_rotors
 from quadftc_replay.inspection.steps import SLOWEST
 from quadftc_replay.inspection.verdict import NotJudged, Verdict
+from quadftc_replay.inspection.vibration import vibration_findings
 from quadftc_replay.inspection.witnesses import pair_findings, path_findings
 from quadftc_replay.inspection.wording import make_verdict
 
@@ -68,6 +71,9 @@ def inspect(
     progress(0.4)
     _sensors(flight, gyros, agreement, judgement)
     progress(0.7)
+    found, judged = navigation_findings(flight, agreement, _longest(flight, None))
+    judgement.found += found
+    judgement.judged += judged
     rotors = _rotors(flight, baseline, judgement)
     progress(0.8)
     if (reason := cannot_judge_battery(flight)) is None:
@@ -75,6 +81,7 @@ def inspect(
         judgement.found += battery_findings(flight)
     else:
         judgement.cannot("battery", reason)
+    judgement.found += [*flown_findings(flight), *vibration_findings(flight)]
     found, follows = first_cause(judgement.found, ending, log.events)
     progress(1.0)
     verdict = make_verdict(
@@ -110,7 +117,7 @@ def _readings(flight: Flight, gyros: dict[str, Signal]) -> list[Found]:
     return found
 
 
-def _longest(flight: Flight, sensor: Signal) -> Signal | None:
+def _longest(flight: Flight, sensor: Signal | None) -> Signal | None:
     """Return the other signal that goes on longest, as a witness of a sensor that stops."""
     log = flight.log
     signals = [

@@ -67,10 +67,10 @@ def path_of(attitude: Signal | None, force: Signal | None, velocity: Signal | No
     time = np.arange(begin, end, STEP)
     if len(time) < LEAST:
         return None
-    q = _attitude_at(attitude, force.time)
+    q = attitude_at(attitude, force.time)
     total = _integral(force.time, to_earth(q, np.nan_to_num(force.value)) - [0.0, 0.0, STANDARD_GRAVITY])
     gained = _change(time, Signal(force.time, total))
-    middle = _attitude_at(attitude, time)
+    middle = attitude_at(attitude, time)
     rests = [
         to_body(middle, (gained - _change(time + delay, velocity)) / WINDOW) for delay in DELAYS.tolist()
     ]
@@ -89,7 +89,7 @@ def path_of(attitude: Signal | None, force: Signal | None, velocity: Signal | No
     return Path(time, np.where(known[:, None], rest, np.nan), usual) if usual < USABLE else None
 
 
-def _attitude_at(attitude: Signal, time: Floats) -> Floats:
+def attitude_at(attitude: Signal, time: Floats) -> Floats:
     """Attitudes (m, 4) at other times, straight between samples."""
     q = attitude.value.copy()
     flips = np.sum(q[1:] * q[:-1], axis=1) < 0.0

@@ -18,7 +18,10 @@ from pydantic import BaseModel, ConfigDict, Field
 VERSION = 2  # of the schema; a key that changes its meaning raises it
 
 Outcome = Literal["fault", "healthy", "not enough to say"]
-Kind = Literal["offset", "stuck", "saturation", "noise", "absent", "loss", "off", "brownout", "unknown"]
+Kind = Literal[
+    *("offset", "drift", "stuck", "saturation", "noise", "absent", "interference", "loss", "off", "brownout"),
+    *("rise", "unknown"),
+]
 
 
 class _Strict(BaseModel):
@@ -47,7 +50,7 @@ class Finding(_Strict):
     @property
     def name(self) -> str:
         """The component with its element."""
-        return f"{self.component} {self.element}".strip()
+        return f"{self.component} {self.element}".strip().replace("gps", "GPS")
 
 
 class NotJudged(_Strict):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.inspection.causes import reported_failure
 from quadftc_replay.inspection.ending import Ending
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found
@@ -47,7 +48,7 @@ def make_verdict(
 ) -> Verdict:
     """Put what was found into words; ``follows`` are findings that others explain."""
     log, findings = flight.log, [each.finding for each in found]
-    outcome = outcome_of(log, findings, judged, ending)
+    outcome = outcome_of(flight, findings, judged, ending)
     return Verdict(
         version=VERSION,
         log=log.path.name,
@@ -76,11 +77,12 @@ def _lacks(judged: Sequence[str]) -> list[str]:
     return [each for each in REQUIRED if each not in judged]
 
 
-def outcome_of(log: FlightLog, findings: Sequence[Finding], judged: Sequence[str], ending: Ending) -> Outcome:
-    """Say which of three outcomes it is."""
+def outcome_of(flight: Flight, findings: Sequence[Finding], judged: Sequence[str], ending: Ending) -> Outcome:
+    """Say which of three outcomes it is; a failure that the autopilot alone reports leaves it open."""
     if findings:
         return "fault"
-    is_open = log.incomplete or _lacks(judged) or ending.kind == "out of control"
+    is_open = flight.log.incomplete or _lacks(judged) or ending.kind == "out of control"
+    is_open = is_open or reported_failure(flight) is not None
     return "not enough to say" if is_open else "healthy"
 
 
@@ -104,16 +106,18 @@ def summarise(
         all_of_it = f"{join([*REQUIRED])} were judged over the whole flight, {flight.duration:.0f} s"
         text = f"{ended}; no fault found: {all_of_it}" if ended else f"No fault found: {all_of_it}"
     else:
-        text = _why_not(flight.log, judged, missing, ended)
+        text = _why_not(flight, judged, missing, ended)
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _why_not(log: FlightLog, judged: Sequence[str], missing: Sequence[NotJudged], ended: str) -> str:
+def _why_not(flight: Flight, judged: Sequence[str], missing: Sequence[NotJudged], ended: str) -> str:
     """Say what could not be judged."""
+    log, reported = flight.log, reported_failure(flight)
+    said = f'the autopilot reports "{reported.text}" at {reported.time:.1f} s' if reported else ""
     cut = f"the log is not whole ({log.incomplete})" if log.incomplete else ""
     lacking = _lacks(judged)
     reasons = join([f"{name} ({_reason(name, missing)})" for name in lacking])
-    open_ = join(list(filter(None, [cut, f"{reasons} could not be judged" if reasons else ""])))
+    open_ = join(list(filter(None, [said, cut, f"{reasons} could not be judged" if reasons else ""])))
     parts = [ended, f"not enough to say: {open_}" if open_ else "the cause is not known"]
     parts.append(f"no fault found in {join(list(judged))}" if judged else "")
     return "; ".join(filter(None, parts))
@@ -172,6 +176,8 @@ def _describe(finding: Finding) -> str:
     size = f" of {show(finding.size, finding.unit)}" if finding.size is not None else ""
     what = {
         "offset": f"{finding.name} has an offset{size}",
+        "drift": f"{finding.name} drifts{size.replace(' of ', ' by ')}",
+        "interference": f"{finding.name} follows the rotors{size.replace(' of ', ' by ')}",
         "stuck": f"{finding.name} is stuck",
         "saturation": f"{finding.name} is saturated",
         "noise": f"{finding.name} is noisy",
@@ -179,6 +185,7 @@ def _describe(finding: Finding) -> str:
         "loss": f"{finding.name} lost {_share(finding.size)} of its thrust",
         "off": f"{finding.name} gives no thrust",
         "brownout": f"{finding.name} breaks down",
+        "rise": f"{finding.name} rises{size.replace(' of ', ' by ')}",
         "unknown": f"{finding.name} is at fault",
     }[finding.kind]
     until = "" if finding.end_s is None else f" to {finding.end_s:.2f} s"

@@ -1,0 +1,130 @@
+"""What the position controller flies by, against what the vehicle's own estimator says.
+
+Both are in one computer and follow one clock. A position that parts from the estimate was changed on the way
+to the controller. ArduPilot logs the acceleration that follows from the lean, in earth axes: where it is
+turned about the vertical, the heading was changed so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from quadftc_model.rotations import to_earth
+from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.path import attitude_at
+from quadftc_replay.inspection.whitening import Floats, runs_of, scale
+
+LASTS = 0.5  # s; of what is no late message
+FAR = 1.0  # m; by which two cores of an estimator may differ in healthy flight
+SMALLEST = 0.01  # m; as finely as positions are logged
+LEAN = 1.0  # m/s²; of a lean that has a direction
+UPRIGHT = 0.2  # 1; cosine of the tilt up to which a lean is an acceleration
+FEWEST = 20  # samples
+SAME = 0.2  # 1; by which the sizes of two accelerations may differ
+TURNED = 0.1  # rad; 6 deg of heading, which compasses reach without a fault
+LEVEL = 6.0  # standard deviations
+AROUND = 3.0  # s
+
+
+def flown_findings(flight: Flight) -> Iterator[Found]:
+    """Name what the position controller takes for other than the estimator says."""
+    yield from _positions(flight)
+    yield from _headings(flight)
+
+
+def _positions(flight: Flight) -> Iterator[Found]:
+    flown, own = flight.log.flown_position, flight.log.position
+    if flown is None or own is None or min(len(flown), len(own)) < 2:
+        return
+    time, apart = flown.time, np.nan_to_num(flown.value - own.at(flown.time))
+    speed = np.linalg.norm(np.gradient(own.at(time), time, axis=0), axis=1)
+    size = np.linalg.norm(apart, axis=1)
+    limit = FAR + speed * (1.0 / max(own.rate, 1e-9) + 1.0 / max(flown.rate, 1e-9))
+    for run in _lasting(time, (size > limit) & (time < flight.until)):
+        middle = np.median(apart[run], axis=0)
+        axis = int(np.argmax(np.abs(middle)))
+        said = (
+            f"the position controller flies by a position {np.linalg.norm(middle):.3g} m from the"
+            f" estimator's, east {middle[0]:+.3g}, north {middle[1]:+.3g}, up {middle[2]:+.3g} m"
+        )
+        lines = {name: apart[:, k] for k, name in enumerate(("east", "north", "up"))}
+        yield _found(
+            flight.log,
+            ("position", ("east", "north", "up")[axis], "offset"),
+            (time, run),
+            (float(middle[axis]), max(scale(apart[run, axis] - middle[axis]), SMALLEST), "m"),
+            float(np.median(size[run] / limit[run])),
+            ("gps",),
+            said,
+            ("position of the controller less that of the estimator", lines),
+        )
+        return
+
+
+def _headings(flight: Flight) -> Iterator[Found]:
+    """Say by which angle the lean that the controller sees is turned about the vertical."""
+    log, flown = flight.log, flight.log.flown_acceleration
+    if flown is None or log.attitude is None or len(flown) < FEWEST or len(log.attitude) < FEWEST:
+        return
+    time, seen = flown
+    up = to_earth(attitude_at(log.attitude, time), np.array([0.0, 0.0, 1.0]))
+    lean = STANDARD_GRAVITY * up[:, :2] / np.maximum(up[:, 2:], UPRIGHT)
+    size = np.linalg.norm(lean, axis=1)
+    known = (size > LEAN) & (np.abs(np.linalg.norm(seen, axis=1) - size) < SAME * size)
+    known &= flight.in_flight(time)
+    if known.sum() < FEWEST:
+        return
+    cross = lean[:, 0] * seen[:, 1] - lean[:, 1] * seen[:, 0]  # of a turn that is counterclockwise
+    angle = np.where(known, np.arctan2(cross, np.sum(seen * lean, axis=1)), np.nan)
+    sigma = scale(angle[known] - np.median(angle[known])) + SMALLEST
+    for run in _lasting(time, np.abs(np.nan_to_num(angle)) > TURNED + LEVEL * sigma):
+        middle = float(np.median(angle[run]))
+        said = f"the lean that the position controller sees is turned by {np.degrees(middle):+.0f} deg"
+        yield _found(
+            log,
+            ("attitude", "yaw", "offset"),
+            (time, run),
+            (middle, sigma, "rad"),
+            abs(middle) / (TURNED + LEVEL * sigma),
+            ("gyro/z",),
+            said + " about the vertical: its heading is not the estimator's",
+            ("heading of the controller less that of the estimator", {"angle": angle}),
+        )
+        return
+
+
+def _lasting(time: Floats, mask: np.ndarray) -> list[slice]:
+    """Runs of a mask (n,) that last."""
+    return [run for run in runs_of(mask) if time[run.stop - 1] - time[run.start] >= LASTS]
+
+
+def _found(
+    log: FlightLog,
+    name: tuple[str, str, str],
+    where: tuple[Floats, slice],
+    size: tuple[float, float, str],
+    ratio: float,
+    others: tuple[str, ...],
+    said: str,
+    drawn: tuple[str, dict[str, Floats]],
+) -> Found:
+    time, run = where
+    onset, last = float(time[run.start]), float(time[run.stop - 1])
+    finding = make_finding(
+        *(*name, onset),
+        end_s=None if log.end - last < LASTS else last,
+        size=size[0],
+        sigma=size[1],
+        unit=size[2],
+        probability=confidence(ratio, 1.0),
+        ambiguous_with=others,
+        evidence=(said,),
+    )
+    return Found(
+        finding, curve_around(drawn[0], size[2], time, drawn[1], (onset - AROUND, last + AROUND)), True
+    )

@@ -1,0 +1,59 @@
+"""Vibration as the autopilot measures it before its filters, and samples at the accelerometer's limit.
+
+Loggers keep 10 to 50 samples a second, after filters: vibration hardly shows in them, or shows aliased. A
+level that rises in flight to a multiple of what it was, and stays, means that something came loose or broke.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.whitening import runs_of
+
+FEWEST = 20  # samples in flight
+LASTS = 2.0  # s
+CALM = 0.3  # 1; quantile of the levels in flight that is the usual one
+RISEN = 4.0  # 1; times the usual level
+FELT = 5.0  # m/s²; half of gravity: Flight Review warns from here on
+HARMFUL = 30.0  # m/s²; from here on ArduPilot expects its estimator to fail
+AROUND = 5.0  # s
+
+
+def vibration_findings(flight: Flight) -> Iterator[Found]:
+    """Say when the vibration rises in flight, or is harmful all along."""
+    level = flight.log.vibration
+    if level is None:
+        return
+    time, value = level.time, np.nan_to_num(level.value[:, 0])
+    watched = flight.in_flight(time) & ~flight.near_impact(time)
+    if watched.sum() < FEWEST:
+        return
+    usual = float(np.quantile(value[watched], CALM))
+    limit = min(max(RISEN * usual, FELT), HARMFUL)
+    for run in runs_of(watched & (value > limit)):
+        start, end = float(time[run.start]), float(time[run.stop - 1])
+        if end - start < LASTS:
+            continue
+        risen = float(np.median(value[run]))
+        lower = np.flatnonzero(value[: run.start] < usual + 0.25 * (risen - usual))
+        onset = float(time[lower[-1] + 1]) if len(lower) else start
+        said = [f"the accelerometers vibrate by {risen:.3g} m/s² on each axis, by {usual:.3g} m/s² before"]
+        clips = flight.log.clips
+        if clips is not None and (count := float(np.ptp(clips.at(np.array([start, end]))))) > 0:
+            said.append(f"{count:.0f} samples are at the limit of the accelerometer meanwhile")
+        finding = make_finding(
+            *("vibration", "", "rise", onset),
+            end_s=None if flight.log.end - end < LASTS else end,
+            size=risen - usual,
+            sigma=float(np.std(value[run])),
+            unit="m/s^2",
+            probability=confidence(risen, limit),
+            evidence=tuple(said),
+        )
+        curve = curve_around("vibration", "m/s²", time, {"level": value}, (onset - AROUND, end + AROUND))
+        yield Found(finding, curve, True)
+        return
