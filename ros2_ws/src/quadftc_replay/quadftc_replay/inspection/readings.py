@@ -120,7 +120,7 @@ def absent_intervals(flight: Flight, sensor: Signal, others: Signal | None) -> l
     begin = flight.intervals[0].start if flight.phases_known else float(sensor.time[0])
     end = flight.intervals[-1].end
     edges = np.concatenate([times[:1], times, [max(end, float(times[-1]))]])
-    longest = max(ABSENT, 10.0 * float(np.median(np.diff(times))))
+    longest = max(ABSENT, max(10.0, _lost_by_chance(times)) * float(np.median(np.diff(times))))
     found: list[Interval] = []
     for k in np.flatnonzero(np.diff(edges) > longest):
         gap = Interval(float(edges[k]), float(edges[k + 1]))
@@ -130,6 +130,13 @@ def absent_intervals(flight: Flight, sensor: Signal, others: Signal | None) -> l
         if inside.any() or _goes_on(others, gap):
             found.append(gap)
     return found
+
+
+def _lost_by_chance(times: Floats) -> float:
+    """Return how many samples in a row a log may lack by chance, as it loses them; the longest gap aside."""
+    steps = np.sort(np.diff(times) / float(np.median(np.diff(times))))[:-1]
+    lost = 1.0 - len(steps) / max(float(steps.sum()), 1.0)
+    return float(np.log(CHANCE / len(times)) / np.log(lost)) if 0.0 < lost < 1.0 else 1.0
 
 
 def _goes_on(other: Signal | None, gap: Interval) -> bool:

@@ -19,8 +19,18 @@ VERSION = 2  # of the schema; a key that changes its meaning raises it
 
 Outcome = Literal["fault", "healthy", "not enough to say"]
 Kind = Literal[
-    *("offset", "drift", "stuck", "saturation", "noise", "absent", "interference", "loss", "off", "brownout"),
-    *("rise", "unknown"),
+    "offset",
+    "drift",
+    "interference",
+    "stuck",
+    "saturation",
+    "noise",
+    "absent",
+    "loss",
+    "off",
+    "brownout",
+    "rise",
+    "unknown",
 ]
 
 

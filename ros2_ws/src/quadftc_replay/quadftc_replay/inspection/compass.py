@@ -1,0 +1,190 @@
+"""Magnetometers against the attitude, and against each other.
+
+The field of the earth is constant, so a magnetometer on a body with the attitude R reads
+
+    m = R' h + u c + b
+
+with the field h, what the currents of the motors add (u: the level of the rotors), and hard iron b. From
+sample to sample b drops out: a robust fit of the changes gives h and c, whatever offset begins in between.
+What is left, d = m - R' h - u c, jumps when an offset begins. If all magnetometers jump so, either the
+attitude has jumped, which the gyro does not follow, or the field itself is another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from quadftc_model.rotations import to_body
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.agreement import HUBER, ROUNDS, Agreement
+from quadftc_replay.inspection.flight import Flight, Interval, rotor_level
+from quadftc_replay.inspection.found import Curve, Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.gyro import BODY_AXES, component_name
+from quadftc_replay.inspection.jumps import WINDOW, find_jumps
+from quadftc_replay.inspection.path import attitude_at
+from quadftc_replay.inspection.steps import Step
+from quadftc_replay.inspection.verdict import show
+from quadftc_replay.inspection.whitening import Floats, scale
+
+COMPONENT = "magnetometer"
+FEWEST = 40  # samples
+SMALLEST = 0.3  # 1; of the field: what ArduPilot and PX4 let pass, 3 sigma of 50 mG, over 500 mG of the earth
+STRONG = 0.6  # 1; of the field: what currents may add before ArduPilot's compassmot calls it bad
+SAME = 0.5  # 1; by which jumps differ that have one cause
+AROUND = 3.0  # s
+
+
+class Field(NamedTuple):
+    """What a magnetometer reads beside the field that the attitude expects."""
+
+    rest: Signal  # d (n, 3)
+    size: float  # of the field
+    currents: Floats  # (3,) c: what the usual range of the rotors' level adds
+    sigma: Floats  # (3,) its standard deviation
+    expected: Floats  # R' h + u c (n, 3)
+
+    def turns(self, interval: Interval) -> bool:
+        """Whether the expected reading moves in a stretch of time further than estimators let pass."""
+        rows = slice(*np.searchsorted(self.rest.time, interval))
+        part = self.expected[rows]
+        return len(part) > 1 and float(np.ptp(part, axis=0).max()) > SMALLEST * self.size
+
+
+def fields_of(flight: Flight) -> dict[str, Field]:
+    """Fit every magnetometer that there is enough of."""
+    fields = {name: _field_of(flight, sensor) for name, sensor in flight.log.magnetometers.items()}
+    return {name: each for name, each in fields.items() if each is not None}
+
+
+def _field_of(flight: Flight, sensor: Signal) -> Field | None:
+    """Fit the field of the earth to a magnetometer; None without an attitude, or with too few samples."""
+    attitude = flight.log.attitude
+    if attitude is None or len(attitude) < FEWEST:
+        return None
+    inside = (sensor.time >= attitude.time[0]) & (sensor.time <= attitude.time[-1])
+    time, value = sensor.time[inside], sensor.value[inside]
+    if np.isfinite(value).all(axis=1).sum() < FEWEST:
+        return None
+    q = attitude_at(attitude, time)
+    turned = np.stack([to_body(q, np.broadcast_to(axis, (len(time), 3))) for axis in np.eye(3)], axis=-1)
+    level = _level(flight, time)
+    currents = level[:, None, None] * np.eye(3)
+    columns = np.concatenate([turned, currents], axis=2)  # (n, 3, 6)
+    known, sigma = _fit(np.diff(columns, axis=0).reshape(-1, 6), np.diff(value, axis=0).ravel())
+    expected = columns @ known
+    size = float(np.nanmedian(np.linalg.norm(value, axis=1)))
+    return Field(Signal(time, value - expected), size, known[3:], sigma[3:], expected)
+
+
+def _level(flight: Flight, time: Floats) -> Floats:
+    """Level of the rotors at some times, as a share of its usual range (n,)."""
+    level = rotor_level(flight.log)
+    if level is None:
+        return np.zeros(len(time))
+    there = np.interp(time, level.time, np.nan_to_num(level.value[:, 0]))
+    low, high = np.quantile(there, (0.05, 0.95))
+    return there / (high - low) if high > low else np.zeros(len(time))
+
+
+def _fit(columns: Floats, changes: Floats) -> tuple[Floats, Floats]:
+    """Fit robustly; return what multiplies each column (k,), and its standard deviation."""
+    good = np.isfinite(changes) & np.isfinite(columns).all(axis=1)
+    columns, changes = columns[good], changes[good]
+    weight, sigma = np.ones(len(changes)), 0.0
+    found: Floats = np.zeros(columns.shape[1])
+    for _ in range(ROUNDS):
+        found = np.linalg.lstsq(columns * weight[:, None], weight * changes, rcond=1e-6)[0]
+        left = np.abs(changes - columns @ found)
+        sigma = scale(left) + 1e-12
+        weight = np.sqrt(np.minimum(1.0, HUBER * sigma / np.maximum(left, 1e-15)))
+    inverse: Floats = np.linalg.pinv(columns.T @ columns, rcond=1e-9, hermitian=True)
+    return found, sigma * np.sqrt(np.maximum(np.diag(inverse), 0.0))
+
+
+def compass_findings(
+    flight: Flight, agreement: Agreement | None, fields: Mapping[str, Field]
+) -> Iterator[Found]:
+    """Name magnetometers that part from the attitude."""
+    jumps = {name: _jumps(flight, each) for name, each in fields.items()}
+    for name in jumps:
+        yield from _findings(flight, agreement, fields, jumps, name)
+
+
+def _jumps(flight: Flight, field: Field) -> list[Step]:
+    time = field.rest.time
+    watched = flight.in_flight(time) & ~flight.near_impact(time)
+    return find_jumps(field.rest, watched, np.full(len(time), SMALLEST * field.size))
+
+
+def _findings(
+    flight: Flight,
+    agreement: Agreement | None,
+    fields: Mapping[str, Field],
+    jumps: Mapping[str, list[Step]],
+    name: str,
+) -> Iterator[Found]:
+    """Name what is wrong with one magnetometer."""
+    field, unit = fields[name], flight.log.field_unit
+    for step in jumps[name]:
+        sharing = [other for other in jumps if other != name and any(_alike(step, s) for s in jumps[other])]
+        is_common = len(sharing) == len(fields) - 1
+        if is_common and _attitude_jumps(agreement, step, field.size):
+            continue
+        if is_common and sharing and name != next(iter(fields)):
+            continue  # told of the first
+        said = [f"it jumps by {show(step.size, unit)} against the field that the attitude expects"]
+        if is_common and sharing:
+            said.append("all magnetometers do: the field around the vehicle is another one")
+        elif len(fields) > 1:
+            said.append("another magnetometer on the same vehicle does not")
+        finding = make_finding(
+            *(component_name(COMPONENT, name), BODY_AXES[step.axis], "offset", step.onset),
+            end_s=step.end,
+            size=step.size,
+            sigma=step.sigma,
+            unit=unit,
+            probability=confidence(step.score, 1.0),
+            evidence=tuple(said),
+        )
+        yield Found(finding, _curve(field, name, unit, step.onset, step.end))
+    strongest = int(np.argmax(np.abs(field.currents)))
+    added, sigma = float(field.currents[strongest]), float(field.sigma[strongest])
+    if abs(added) > max(STRONG * field.size, 8.0 * sigma):
+        start = flight.intervals[0].start
+        said = (
+            f"it follows the level of the rotors: their usual range adds {show(added, unit)}"
+            f" to a field of {show(field.size, unit)}",
+        )
+        finding = make_finding(
+            *(component_name(COMPONENT, name), BODY_AXES[strongest], "interference", start),
+            size=added,
+            sigma=sigma,
+            unit=unit,
+            probability=confidence(abs(added), STRONG * field.size),
+            evidence=said,
+        )
+        yield Found(finding, _curve(field, name, unit, start, None), True)
+
+
+def _alike(step: Step, other: Step) -> bool:
+    """Whether two magnetometers jump alike."""
+    near = abs(step.onset - other.onset) < WINDOW and step.axis == other.axis
+    return near and abs(step.size - other.size) < SAME * abs(step.size)
+
+
+def _attitude_jumps(agreement: Agreement | None, step: Step, field: float) -> bool:
+    """Whether the attitude turns without the gyro, as far as such a jump takes."""
+    if agreement is None:
+        return False
+    rows = slice(*np.searchsorted(agreement.time, (step.onset - WINDOW, step.onset + WINDOW)))
+    angle = float(np.linalg.norm(agreement.rest[rows].sum(axis=0)))
+    return angle * field > SAME * abs(step.size)
+
+
+def _curve(field: Field, name: str, unit: str, onset: float, end: float | None) -> Curve:
+    lines = {axis: field.rest.value[:, k] for k, axis in enumerate(BODY_AXES)}
+    title = f"{component_name(COMPONENT, name)} less the field that the attitude expects"
+    return curve_around(title, unit, field.rest.time, lines, (onset - AROUND, (end or onset) + AROUND))

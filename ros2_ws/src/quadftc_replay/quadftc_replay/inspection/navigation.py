@@ -1,0 +1,75 @@
+"""Magnetometers, barometers and satellite receivers: those that stop or repeat, and those that jump.
+
+A reading that is repeated is a fault where the sensor otherwise never does so. A magnetometer has to have
+been turned meanwhile, as the field of a vehicle that keeps its attitude hardly moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.agreement import Agreement
+from quadftc_replay.inspection.compass import Field, compass_findings, fields_of
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.found import Found, curve_around, make_finding
+from quadftc_replay.inspection.gyro import BODY_AXES, component_name
+from quadftc_replay.inspection.heights import barometer_findings, receiver_findings
+from quadftc_replay.inspection.readings import absent_findings, stuck_intervals
+
+AROUND = 3.0  # s
+
+
+def navigation_findings(
+    flight: Flight, agreement: Agreement | None, other: Signal | None
+) -> tuple[list[Found], list[str]]:
+    """Return what is found, and which components were judged; ``other`` is a signal that goes on longest."""
+    log, fields = flight.log, fields_of(flight)
+    sensors: dict[str, Mapping[str, Signal]] = {
+        "magnetometer": log.magnetometers,
+        "barometer": log.barometers,
+        "gps": log.gps_positions,
+    }
+    found: list[Found] = []
+    for kind, each in sensors.items():
+        for name, sensor in each.items():
+            component = component_name(kind, name)
+            found += absent_findings(flight, component, sensor, other)
+            found += _stuck(flight, component, sensor, fields.get(name) if kind == "magnetometer" else None)
+    found += compass_findings(flight, agreement, fields)
+    judged = ["magnetometer"] if fields else []
+    for kind, (jumps, is_judged) in (
+        ("barometer", barometer_findings(flight)),
+        ("gps", receiver_findings(flight)),
+    ):
+        found += jumps
+        judged += [kind] if is_judged else []
+    return found, judged
+
+
+def _stuck(flight: Flight, component: str, sensor: Signal, field: Field | None) -> Iterator[Found]:
+    """Say when a sensor repeats all of its reading at once."""
+    _, alike = np.unique(sensor.value, axis=0, return_inverse=True)
+    is_compass = component.startswith("magnetometer")
+    stretches = [
+        each
+        for each in stuck_intervals(flight, sensor.time, alike.ravel().astype(float))
+        if each.start > sensor.time[0] and (not is_compass or (field is not None and field.turns(each)))
+    ]
+    if not stretches:
+        return
+    first, last = stretches[0], stretches[-1]
+    seconds = sum(each.end - each.start for each in stretches)
+    why = "while the vehicle turns in the field of the earth" if is_compass else "as it does not otherwise"
+    said = f"it repeats its reading for {seconds:.3g} s, {why}"
+    for column, element in enumerate(BODY_AXES if is_compass else ("",)):
+        finding = make_finding(
+            *(component, element, "stuck", first.start),
+            end_s=None if last.end >= float(sensor.time[-1]) else last.end,
+            evidence=(said,),
+        )
+        span = (first.start - AROUND, last.end + AROUND)
+        lines = {"reading": sensor.value[:, column]}
+        yield Found(finding, curve_around(f"{component} {element}", "", sensor.time, lines, span))
