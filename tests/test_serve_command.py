@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from browser import start_browser
 
-from quadftc_report.serve.jobs import Jobs, safe_name
+from quadftc_report.serve.jobs import Choice, Jobs, safe_name
 
 PARENTS = Path(__file__).resolve().parents
 DATA = next((parent / "shared/data" for parent in PARENTS if (parent / "shared/data").is_dir()), None)
@@ -90,6 +90,9 @@ def test_log_is_judged_and_its_verdict_handed_out(address, folder):
     assert (job["state"], job["name"], job["size"]) == ("done", LOG.name, LOG.stat().st_size)
     response = httpx.get(f"{address}/logs/{key}/verdict.json")
     assert response.json()["log"] == LOG.name
+    picture = httpx.get(f"{address}/logs/{key}/picture.svg")
+    assert picture.headers["Content-Type"] == "image/svg+xml"
+    assert "</svg>" in picture.text
     assert "default-src 'none'" in response.headers["Content-Security-Policy"]
 
 
@@ -165,18 +168,15 @@ def test_table_is_judged_by_the_mapping_that_is_chosen(tmp_path):
         job = await jobs.receive("flight.csv", content())
         await asyncio.gather(*jobs._tasks.values())
         assert "perhaps a table, whose columns --mapping FILE explains" in job.message
-        jobs.choose(job.id, 0, 0, MAPPING.replace('"z"', '"w"'))
+        jobs.choose(job.id, Choice(mapping=MAPPING.replace('"z"', '"w"')))
         await asyncio.gather(*jobs._tasks.values())
         assert job.message == (
             "mapping: signal 1 (gyro): no column 'w' in flight.csv; columns there: t, x, y, z"
         )
-        jobs.choose(job.id, 0, 0, MAPPING)
+        jobs.choose(job.id, Choice(mapping=MAPPING))
         await asyncio.gather(*jobs._tasks.values())
         assert job.verdict is not None, job.message
         assert job.verdict.judged == ("gyro",)
-        jobs.choose(job.id, 2, 0, MAPPING)
-        await asyncio.gather(*jobs._tasks.values())
-        assert "--log 2: flight.csv is a CSV log, which takes no --log" in job.message
 
     asyncio.run(judge())
 
@@ -195,6 +195,14 @@ def wait_for(browser, script: str):
 
 CARDS = "[...document.querySelectorAll('[data-state]')]"
 TEXTS = f"return {CARDS}.map(each => each.dataset.state + each.innerText)"
+DROP = """
+const carried = new DataTransfer();
+carried.items.add(new File(["no log"], "<b>dropped.txt"));
+for (const type of ["dragover", "drop"]) {
+  const event = new DragEvent(type, {dataTransfer: carried, bubbles: true, cancelable: true});
+  document.querySelector("h1").dispatchEvent(event);
+}
+"""
 
 
 @pytest.mark.skipif(LOG is None, reason="no recorded logs beside the repository (shared/data)")
@@ -202,30 +210,36 @@ def test_in_a_browser_logs_are_dropped_and_verdicts_read_and_removed(browser, ad
     from selenium.webdriver.common.by import By
 
     assert LOG is not None
-    other, large = tmp_path / "<b>not</b> a log.txt".replace("/", "-"), tmp_path / "large"
-    other.write_text("no log")
+    large = tmp_path / "large"
     large.write_bytes(bytes((1 << 20) + 1))
     before = len(list(folder.iterdir()))
+    browser.set_window_size(500, 800)
     browser.get(address)
-    wait_for(browser, "return document.querySelector('input[type=file]') !== null")
-    drop = browser.find_element(By.CSS_SELECTOR, "input[type=file]")
-    drop.send_keys("\n".join(map(str, (LOG, other, large))))
+    wait_for(browser, f"return {CARDS}.length === {before}")
+    browser.find_element(By.ID, "files").send_keys(f"{LOG}\n{large}")
     ended = f"{CARDS}.filter(each => ['done', 'failed'].includes(each.dataset.state)).length"
+    wait_for(browser, f"return {ended} === {before + 1}")
+    browser.execute_script(DROP)  # a second time, and anywhere on the page
     wait_for(browser, f"return {ended} === {before + 2}")
     texts = browser.execute_script(TEXTS)
-    assert any(text.startswith("done") and LOG.name in text and "verdict.json" in text for text in texts)
-    assert any(text.startswith("failed") and "expected a log" in text for text in texts)
+    assert any(text.startswith("done") and LOG.name in text and "Open the report" in text for text in texts)
+    assert any(
+        text.startswith("failed") and "_dropped" in text and "expected a log" in text for text in texts
+    )
     assert len(list(folder.iterdir())) == before + 2  # the large one was not taken
+    assert "larger than 1 MiB" in browser.find_element(By.ID, "sending").text
+    assert browser.execute_script(
+        "const { scrollWidth } = document.documentElement; return scrollWidth <= innerWidth"
+    )
     # the list is there again after a reload; what is removed is gone
     browser.refresh()
     wait_for(browser, f"return {CARDS}.length === {before + 2}")
     failed = browser.find_element(By.CSS_SELECTOR, "[data-state=failed]")
-    failed.find_element(By.XPATH, ".//button[contains(., 'Remove')]").click()
+    failed.find_element(By.XPATH, ".//button[.='Remove']").click()
     wait_for(browser, f"return {CARDS}.length === {before + 1}")
     assert len(list(folder.iterdir())) == before + 1
     # the report draws, although it may load nothing
-    link = browser.find_element(By.LINK_TEXT, "Report").get_attribute("href")
-    browser.get(link)
+    browser.find_element(By.LINK_TEXT, "Open the report").click()
     wait_for(browser, "return document.documentElement.dataset.figures === 'drawn'")
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
     asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]

@@ -46,6 +46,12 @@ def save_figure(figure: Figure, directory: Path) -> list[Path]:
     return [png, pdf]
 
 
+def save_picture(figure: Figure, path: Path) -> None:
+    """Draw a figure into a file of any format that Matplotlib knows by its name."""
+    with mpl.rc_context(cast("Any", {**mpl.rcParamsDefault, **STYLE})):
+        draw(figure).savefig(path)
+
+
 def draw(figure: Figure) -> Canvas:
     """Draw a figure, in the style in force."""
     heights = [panel.height for panel in figure.panels]

@@ -3,8 +3,8 @@
     python -m quadftc_report.serve.job LOG DIR [--log=N] [--system=N] [--mapping=FILE]
         [--baseline=LOG] [--baseline-log=N] [--fault=SPEC]...
 
-writes ``verdict.json`` and ``report.html`` into DIR. Standard output has the share of the work that is done,
-a number a line, and last, with exit code 2, one line that says what is wrong with the log.
+writes ``verdict.json``, ``report.html`` and ``picture.svg`` into DIR. Standard output has each stage as it
+begins, a line of `STAGES`, and last, with exit code 2, one line that says what is wrong with the log.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ BAD_INPUT = 2  # exit code
 MEMORY = 8 << 30  # bytes of address space, libraries among them
 CPU_TIME = 1800  # s
 LARGEST_FILE = 1 << 30  # bytes that may be written into one file
-STEP = 0.01  # share of the work between two lines
+STAGES = ("reading", "judging sensors", "judging rotors", "drawing")  # in this order
+SENSORS = 0.7  # share of `inspect` after which it turns to the rotors
+PICTURE = "picture.svg"
 
 
 def limit_resources() -> None:
@@ -34,12 +36,19 @@ def limit_resources() -> None:
         resource.setrlimit(what, (bound, bound))
 
 
+def stage_of(share: float) -> str:
+    """Return the stage in which `diagnose_log` is after a share of its work."""
+    from quadftc_replay.inspection.diagnosis import READING
+
+    begins = (READING, READING + (1.0 - READING) * SENSORS)
+    return STAGES[sum(share >= begin for begin in begins)]
+
+
 def main() -> int:
     """Judge the log of the command line."""
     limit_resources()
     from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log, write_verdict
     from quadftc_replay.readers import LogChoice
-    from quadftc_report.verdict_page import write_page
 
     parser = argparse.ArgumentParser(allow_abbrev=False)
     parser.add_argument("log", type=Path)
@@ -51,15 +60,16 @@ def main() -> int:
     parser.add_argument("--baseline-log", type=int, default=0)
     parser.add_argument("--fault", action="append", default=[])
     asked = parser.parse_args()
-    log, said = asked.log, -1.0
+    log, stage = asked.log, ""
 
-    def progress(share: float) -> None:
-        nonlocal said
-        if share >= said + STEP:
-            said = share
-            sys.stdout.write(f"{share:.3f}\n")
+    def enter(new: str) -> None:
+        nonlocal stage
+        if new != stage:
+            stage = new
+            sys.stdout.write(f"{stage}\n")
             sys.stdout.flush()
 
+    enter(STAGES[0])
     try:
         options = DiagnosisOptions(
             choice=LogChoice(asked.number, asked.system, asked.mapping),
@@ -67,7 +77,7 @@ def main() -> int:
             baseline_log=asked.baseline_log,
             faults=tuple(asked.fault),
         )
-        inspection = diagnose_log(log, options, progress)
+        inspection = diagnose_log(log, options, lambda share: enter(stage_of(share)))
     except MemoryError:
         sys.stdout.write("the log needs more memory than it may have\n")
         return BAD_INPUT
@@ -76,7 +86,12 @@ def main() -> int:
         words = " ".join(words.replace(str(asked.mapping), "mapping").split())
         sys.stdout.write(f"{words}\n")
         return BAD_INPUT
+    enter(STAGES[-1])
+    from quadftc_report.draw_matplotlib import save_picture
+    from quadftc_report.verdict_page import figures_of, write_page
+
     write_page(inspection, asked.directory)
+    save_picture(figures_of(inspection)[0][0], asked.directory / PICTURE)
     write_verdict(inspection.verdict, asked.directory)
     return 0
 

@@ -21,21 +21,24 @@ import sys
 from collections.abc import AsyncIterable, AsyncIterator
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from quadftc_replay.inspection.verdict import Verdict
 from quadftc_replay.overlay import faults_from
+from quadftc_report.serve.job import PICTURE, STAGES
 
 JOB, VERDICT, REPORT = "job.json", "verdict.json", "report.html"
 MAPPING = "mapping.toml"
 RESULTS = {
     VERDICT: "application/json",
     REPORT: "text/html; charset=utf-8",
+    PICTURE: "image/svg+xml",
 }  # handed out
 ID = re.compile(r"[0-9]{8}T[0-9]{6}-[0-9a-f]{8}")
 LONGEST_NAME = 80  # characters
+LONGEST = 1 << 16  # characters of a mapping or of faults
 LONGEST_LINE = 4096  # bytes of what a process says
 PATIENCE = 3600.0  # s; a judgement that takes longer is stopped
 INTERRUPTED = "interrupted: the page was closed before the log was judged"
@@ -56,13 +59,25 @@ class Job(BaseModel):
     size: int = 0  # bytes
     state: State = "waiting"
     message: str = ""  # why it failed
-    progress: float = 0.0  # share of the work that is done
+    stage: str = ""  # of `STAGES`, while it runs
     baseline: str = ""  # id of the healthy log it is judged against
     faults: tuple[str, ...] = ()  # specifications of faults that are put on it first
     log: int = 0  # which of several logs in the file; 0: the only one
     system: int = 0  # which of several vehicles, by its MAVLink system; 0: the only one
     mapping: str = ""  # what the columns of a table mean
     verdict: Verdict | None = None
+
+
+def _none_is_zero(value: object) -> object:
+    return value or 0  # of a field that was left empty
+
+
+class Choice(BaseModel):
+    """Which log of a file is meant, and how it is read; None: as before."""
+
+    log: Annotated[int, Field(ge=0), BeforeValidator(_none_is_zero)] | None = None
+    system: Annotated[int, Field(ge=0, le=255), BeforeValidator(_none_is_zero)] | None = None
+    mapping: Annotated[str, Field(max_length=LONGEST)] | None = None
 
 
 def safe_name(name: str) -> str:
@@ -90,7 +105,7 @@ class Jobs:
 
     def all(self) -> list[Job]:
         """Return all jobs, the latest first."""
-        return sorted(self._jobs.values(), key=lambda job: job.id, reverse=True)
+        return sorted(self._jobs.values(), key=lambda job: job.received, reverse=True)
 
     async def receive(self, name: str, blocks: AsyncIterable[bytes]) -> Job:
         """Store a log block by block, and let it be judged; of one that is too large nothing is kept."""
@@ -132,14 +147,15 @@ class Jobs:
             return
         for name in RESULTS:
             (self.folder / key / name).unlink(missing_ok=True)
-        job.verdict, job.message, job.progress = None, "", 0.0
+        job.verdict, job.message = None, ""
         self._start(job)
 
-    def choose(self, key: str, log: int, system: int, mapping: str) -> None:
+    def choose(self, key: str, choice: Choice) -> None:
         """Judge a log once more: of several the one that is meant, a table by a mapping."""
         if (job := self._jobs.get(key)) is None or key in self._tasks:
             return
-        job.log, job.system, job.mapping = max(log, 0), max(system, 0), mapping.strip()
+        for name, value in choice.model_dump(exclude_none=True).items():
+            setattr(job, name, value)
         self.judge_again(key)
 
     def name_of(self, key: str) -> str:
@@ -184,7 +200,7 @@ class Jobs:
     def _note(self, job: Job, write: bool = True) -> None:
         self.version += 1
         if write:
-            text = job.model_dump_json(indent=2, exclude={"verdict", "progress"})
+            text = job.model_dump_json(indent=2, exclude={"verdict", "stage"})
             whole = self.folder / job.id / f"{JOB}.new"
             whole.write_text(f"{text}\n", "utf-8")
             whole.replace(whole.with_suffix(""))
@@ -192,7 +208,7 @@ class Jobs:
     async def _judge(self, job: Job) -> None:
         """Judge a log when there is a place."""
         async with self._places:
-            job.state = "running"
+            job.state, job.stage = "running", STAGES[0]
             self._note(job)
             try:
                 job.message = await asyncio.wait_for(self._run(job), PATIENCE)
@@ -230,9 +246,9 @@ class Jobs:
         said = ""
         try:
             async for line in _lines(process.stdout):
-                try:
-                    job.progress = min(max(float(line), 0.0), 1.0)
-                except ValueError:
+                if line in STAGES:
+                    job.stage = line
+                else:
                     said = line
                 self._note(job, write=False)
             code = await process.wait()
