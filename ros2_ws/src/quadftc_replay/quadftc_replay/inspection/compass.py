@@ -23,7 +23,7 @@ from quadftc_replay.inspection.agreement import HUBER, ROUNDS, Agreement
 from quadftc_replay.inspection.flight import Flight, Interval, rotor_level
 from quadftc_replay.inspection.found import Curve, Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.gyro import BODY_AXES, component_name
-from quadftc_replay.inspection.jumps import WINDOW, find_jumps
+from quadftc_replay.inspection.jumps import JUMP, find_jumps
 from quadftc_replay.inspection.path import attitude_at
 from quadftc_replay.inspection.steps import Step
 from quadftc_replay.inspection.verdict import show
@@ -93,15 +93,17 @@ def _fit(columns: Floats, changes: Floats) -> tuple[Floats, Floats]:
     """Fit robustly; return what multiplies each column (k,), and its standard deviation."""
     good = np.isfinite(changes) & np.isfinite(columns).all(axis=1)
     columns, changes = columns[good], changes[good]
-    weight, sigma = np.ones(len(changes)), 0.0
-    found: Floats = np.zeros(columns.shape[1])
+    weight: Floats = np.ones(len(changes))
+    found: Floats = np.zeros(len(columns.T))
+    sigma = 0.0
     for _ in range(ROUNDS):
-        found = np.linalg.lstsq(columns * weight[:, None], weight * changes, rcond=1e-6)[0]
-        left = np.abs(changes - columns @ found)
+        scaled = columns * weight[:, None]
+        found = np.array(np.linalg.lstsq(scaled, weight * changes, rcond=1e-6)[0], np.float64)
+        left: Floats = np.abs(changes - columns @ found)
         sigma = scale(left) + 1e-12
         weight = np.sqrt(np.minimum(1.0, HUBER * sigma / np.maximum(left, 1e-15)))
-    inverse: Floats = np.linalg.pinv(columns.T @ columns, rcond=1e-9, hermitian=True)
-    return found, sigma * np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    variance: Floats = np.diag(np.array(np.linalg.pinv(columns.T @ columns, rcond=1e-9), np.float64))
+    return found, sigma * np.sqrt(np.maximum(variance, 0.0))
 
 
 def compass_findings(
@@ -116,7 +118,7 @@ def compass_findings(
 def _jumps(flight: Flight, field: Field) -> list[Step]:
     time = field.rest.time
     watched = flight.in_flight(time) & ~flight.near_impact(time)
-    return find_jumps(field.rest, watched, np.full(len(time), SMALLEST * field.size))
+    return find_jumps(field.rest, watched, np.full(len(time), SMALLEST * field.size))[0]
 
 
 def _findings(
@@ -171,7 +173,7 @@ def _findings(
 
 def _alike(step: Step, other: Step) -> bool:
     """Whether two magnetometers jump alike."""
-    near = abs(step.onset - other.onset) < WINDOW and step.axis == other.axis
+    near = abs(step.onset - other.onset) < JUMP and step.axis == other.axis
     return near and abs(step.size - other.size) < SAME * abs(step.size)
 
 
@@ -179,7 +181,7 @@ def _attitude_jumps(agreement: Agreement | None, step: Step, field: float) -> bo
     """Whether the attitude turns without the gyro, as far as such a jump takes."""
     if agreement is None:
         return False
-    rows = slice(*np.searchsorted(agreement.time, (step.onset - WINDOW, step.onset + WINDOW)))
+    rows = slice(*np.searchsorted(agreement.time, (step.onset - JUMP, step.onset + JUMP)))
     angle = float(np.linalg.norm(agreement.rest[rows].sum(axis=0)))
     return angle * field > SAME * abs(step.size)
 

@@ -4,29 +4,41 @@
 
 A receiver takes velocity from the Doppler shift and position from times of flight: two measurements, so
 that d drifts slowly. It jumps with a position that jumps, and with a height by pressure that does. What jumps
-in both is the velocity, which they share.
+in both is the velocity, which they share. A velocity is compared so with the specific force in earth axes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from quadftc_model.rotations import to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_replay.flight_log import Floats, Signal
+from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.gyro import component_name
-from quadftc_replay.inspection.jumps import WINDOW, find_jumps
+from quadftc_replay.inspection.jumps import DRIFT, FEWEST, JUMP, find_jumps
+from quadftc_replay.inspection.path import attitude_at
 from quadftc_replay.inspection.steps import Step
 from quadftc_replay.inspection.verdict import show
+from quadftc_replay.inspection.whitening import Floats, Mask
 
 BAROMETER, RECEIVER = "barometer", "gps"
+KINDS = ("offset", "drift")  # jumps, drifts
+KNOWS = "of which the measured velocity knows nothing"
 # of a receiver's positions: element (latitude, longitude, height), towards which, away from which
-TOWARDS = {1: ("x", "north", "south"), 0: ("y", "east", "west"), 2: ("z", "up", "down")}
+TOWARDS: Mapping[int, tuple[str, str, str]] = {
+    1: ("x", "north", "south"),
+    0: ("y", "east", "west"),
+    2: ("z", "up", "down"),
+}
 GATE = 5.0  # standard deviations that the estimators of ArduPilot and PX4 let pass
 CLAIMED = 0.5  # m; a receiver's least standard deviation (ArduPilot EK3_POSNE_M_NSE, PX4 EKF2_GPS_P_NOISE)
+SPEED = (
+    0.3  # m/s; what ArduPilot and PX4 take for its deviation of velocity (EK3_VELNE_M_NSE, EKF2_GPS_V_NOISE)
+)
 GROUND_EFFECT = 4.0  # m; that the wash of the rotors near the ground adds (PX4 EKF2_GND_EFF_DZ)
 PAUSE = 1.0  # s; of a velocity, over which its integral is not known
 SAME = 0.5  # 1; by which jumps differ that have one cause
@@ -34,26 +46,43 @@ AROUND = 3.0  # s
 
 
 def receiver_findings(flight: Flight) -> tuple[list[Found], bool]:
-    """Name receivers whose position jumps; and whether any was judged."""
-    found, judged = list[Found](), False
-    for name, position in flight.log.gps_positions.items():
-        velocity = flight.log.gps_velocities.get(name)
-        if velocity is None or len(position) < 2:
-            continue
-        judged = True
-        residual = _less_integral(position, velocity)
-        for step in _receiver_jumps(flight, name, residual):
-            element, *ways = TOWARDS[step.axis]
-            said = (
-                f"its position jumps by {show(abs(step.size), 'm')} {ways[step.size < 0.0]},"
-                " and its own velocity knows nothing of that"
-            )
-            found.append(_found(component_name(RECEIVER, name), element, step, said, residual, CLAIMED))
-    return found, judged
+    """Name receivers whose position jumps or drifts; and whether any was judged."""
+    found, residuals = list[Found](), _receivers(flight)
+    for name, residual in residuals.items():
+        for kind, steps in zip(KINDS, _receiver_jumps(flight, name, residual), strict=True):
+            for step in steps:
+                element, way = _way(step.axis, step.size)
+                said = f"its position {_does(kind, abs(step.size))} {way}, {KNOWS}"
+                component = component_name(RECEIVER, name)
+                known_by = CLAIMED if kind == "offset" else CLAIMED / DRIFT
+                sure = step._replace(sigma=max(step.sigma, known_by))
+                found.append(_found(component, element, kind, sure, said, residual))
+    return found, bool(residuals)
+
+
+def velocity_findings(flight: Flight) -> Iterator[Found]:
+    """Name receivers whose velocity jumps, from one sample to the next."""
+    attitude, force = flight.log.attitude, next(iter(flight.log.accelerometers.values()), None)
+    if attitude is None or force is None or min(len(attitude), len(force)) < 2:
+        return
+    felt = to_earth(attitude_at(attitude, force.time), np.nan_to_num(force.value))
+    acceleration = Signal(force.time, felt - [0.0, 0.0, STANDARD_GRAVITY])
+    for name, velocity in flight.log.gps_velocities.items():
+        residual = _less_integral(velocity, acceleration)
+        smallest = np.full(len(residual), GATE * SPEED)
+        for step in find_jumps(residual, _watched(flight, residual), smallest)[0]:
+            changes = np.diff(residual.value[:, step.axis])
+            row = int(np.searchsorted(residual.time, step.onset)) - 1
+            near = changes[max(row - FEWEST, 0) : row + FEWEST + 1]
+            if abs(changes[row] - np.nanmedian(near) - step.size) > SAME * abs(step.size):
+                continue  # a wrong heading or force takes its time
+            element, way = _way(step.axis, step.size)
+            said = f"its velocity jumps by {show(abs(step.size), 'm/s')} {way}, against the specific force"
+            yield _found(component_name(RECEIVER, name), element, "offset", step, said, residual, "m/s")
 
 
 def barometer_findings(flight: Flight) -> tuple[list[Found], bool]:
-    """Name barometers whose height jumps; and whether any was judged."""
+    """Name barometers whose height jumps or drifts; and whether any was judged."""
     log = flight.log
     velocity = log.gps_velocity or log.velocity
     if velocity is None or len(velocity) < 2:
@@ -61,29 +90,36 @@ def barometer_findings(flight: Flight) -> tuple[list[Found], bool]:
     up = Signal(velocity.time, velocity.value[:, 2:])
     speed: Floats = np.linalg.norm(np.nan_to_num(velocity.value), axis=1)
     residuals = {name: _less_integral(each, up) for name, each in log.barometers.items() if len(each) > 1}
-    jumps: dict[str, list[Step]] = {}
+    jumps: dict[str, tuple[list[Step], list[Step]]] = {}
     for name, residual in residuals.items():
         # wind of the vehicle's own speed adds up to its dynamic pressure
         dynamic: Floats = np.interp(residual.time, velocity.time, speed) ** 2 / (2.0 * STANDARD_GRAVITY)
         jumps[name] = find_jumps(residual, _watched(flight, residual), GROUND_EFFECT + dynamic)
-    right = [step for step in _heights_of_satellites(flight) if step.axis == 2]
+    receivers = [_receiver_jumps(flight, name, each) for name, each in _receivers(flight).items()]
     found = list[Found]()
-    for number, name in enumerate(jumps):
-        for step in jumps[name]:
-            others = [other for other in jumps if other != name and _has(jumps[other], step)]
-            if _has(right, step) or any(other in list(jumps)[:number] for other in others):
-                continue
-            said = f"its height jumps by {show(step.size, 'm')}, and the velocity knows nothing of that"
-            said += "".join(f"; {component_name(BAROMETER, each)} does the same" for each in others)
-            found.append(_found(component_name(BAROMETER, name), "", step, said, residuals[name]))
+    for which, kind in enumerate(KINDS):
+        velocities = [step for each in receivers for step in each[which] if step.axis == 2]
+        told: list[Step] = []
+        for name, residual in residuals.items():
+            for step in jumps[name][which]:
+                if _has(velocities, step) or _has(told, step):
+                    continue
+                told.append(step)
+                others = [each for each in jumps if each != name and _has(jumps[each][which], step)]
+                said = f"its height {_does(kind, step.size)}, {KNOWS}"
+                said += "".join(f"; {component_name(BAROMETER, each)} does the same" for each in others)
+                found.append(_found(component_name(BAROMETER, name), "", kind, step, said, residual))
     return found, bool(residuals)
 
 
-def _heights_of_satellites(flight: Flight) -> Iterator[Step]:
+def _receivers(flight: Flight) -> dict[str, Signal]:
+    """What the positions of each receiver leave of the integral of its velocity."""
     log = flight.log
-    for name, position in log.gps_positions.items():
-        if (velocity := log.gps_velocities.get(name)) is not None:
-            yield from _receiver_jumps(flight, name, _less_integral(position, velocity))
+    return {
+        name: _less_integral(position, log.gps_velocities[name])
+        for name, position in log.gps_positions.items()
+        if name in log.gps_velocities and len(position) > 1
+    }
 
 
 def _less_integral(position: Signal, velocity: Signal) -> Signal:
@@ -99,8 +135,8 @@ def _less_integral(position: Signal, velocity: Signal) -> Signal:
     return Signal(position.time, np.where(dark[:, None], np.nan, position.value - integral))
 
 
-def _receiver_jumps(flight: Flight, name: str, residual: Signal) -> list[Step]:
-    """Jumps of a receiver's position, beyond what it claims to know it by."""
+def _receiver_jumps(flight: Flight, name: str, residual: Signal) -> tuple[list[Step], list[Step]]:
+    """Jumps and drifts of a receiver's position, beyond what it claims to know it by."""
     status = flight.log.gps_status.get(name)
     claimed = np.full(len(residual), CLAIMED)
     if status is not None:
@@ -108,31 +144,42 @@ def _receiver_jumps(flight: Flight, name: str, residual: Signal) -> list[Step]:
     return find_jumps(residual, _watched(flight, residual), GATE * claimed)
 
 
-def _watched(flight: Flight, residual: Signal) -> np.ndarray:
+def _watched(flight: Flight, residual: Signal) -> Mask:
     return flight.in_flight(residual.time) & ~flight.near_impact(residual.time)
 
 
-def _has(jumps: list[Step], step: Step) -> bool:
-    """Whether a jump is among others, of another instrument."""
+def _has(steps: Sequence[Step], step: Step) -> bool:
+    """Whether what one instrument does is among what others do."""
     return any(
-        abs(each.onset - step.onset) < WINDOW and abs(each.size - step.size) < SAME * abs(step.size)
-        for each in jumps
+        abs(each.onset - step.onset) < JUMP and abs(each.size - step.size) < SAME * abs(step.size)
+        for each in steps
     )
 
 
+def _way(axis: int, size: float) -> tuple[str, str]:
+    """Return the element of a receiver, and the direction in words."""
+    element, *ways = TOWARDS[axis]
+    return element, ways[0 if size > 0.0 else 1]
+
+
+def _does(kind: str, size: float) -> str:
+    return f"jumps by {show(size, 'm')}" if kind == "offset" else f"drifts by {show(size, 'm/s')}"
+
+
 def _found(
-    component: str, element: str, step: Step, said: str, residual: Signal, floor: float = 0.0
+    component: str, element: str, kind: str, step: Step, said: str, residual: Signal, unit: str = "m"
 ) -> Found:
+    """The finding of a jump or a drift of a quantity with some unit."""
     finding = make_finding(
-        *(component, element, "offset", step.onset),
+        *(component, element, kind, step.onset),
         end_s=step.end,
         size=step.size,
-        sigma=max(step.sigma, floor),
-        unit="m",
+        sigma=step.sigma,
+        unit=unit if kind == "offset" else f"{unit}/s",
         probability=confidence(step.score, 1.0),
         evidence=(said,),
     )
     lines = {"difference": residual.value[:, step.axis]}
     span = (step.onset - AROUND, (step.end or step.onset) + AROUND)
-    title = f"{component} {element}".strip() + " less the integral of the velocity"
-    return Found(finding, curve_around(title, "m", residual.time, lines, span))
+    title = f"{component} {element}".strip() + " less the integral of what it follows from"
+    return Found(finding, curve_around(title, unit, residual.time, lines, span))

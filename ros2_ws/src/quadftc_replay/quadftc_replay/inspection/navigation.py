@@ -16,7 +16,7 @@ from quadftc_replay.inspection.compass import Field, compass_findings, fields_of
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, curve_around, make_finding
 from quadftc_replay.inspection.gyro import BODY_AXES, component_name
-from quadftc_replay.inspection.heights import barometer_findings, receiver_findings
+from quadftc_replay.inspection.heights import barometer_findings, receiver_findings, velocity_findings
 from quadftc_replay.inspection.readings import absent_findings, stuck_intervals
 
 AROUND = 3.0  # s
@@ -46,6 +46,7 @@ def navigation_findings(
     ):
         found += jumps
         judged += [kind] if is_judged else []
+    found += velocity_findings(flight)
     return found, judged
 
 
