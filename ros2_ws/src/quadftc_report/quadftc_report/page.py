@@ -31,7 +31,7 @@ from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
 from quadftc_report.headline import headline
 from quadftc_report.tables import metric_tables
-from quadftc_report.wording import NOTHING, counted, listing, plain, short
+from quadftc_report.wording import NOTHING, counted, listing, plain, short, unbroken
 
 KEY_METRICS = {
     "tracking_rmse_deg": "tracking RMSE [deg]",
@@ -153,7 +153,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters["short"] = short
+    environment.filters |= {"short": short, "unbroken": unbroken}
     environment.globals["plotly_js"] = get_plotlyjs
     return environment
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -101,7 +102,7 @@ def _finding_figure(
         span = float(curve.time[0]), float(curve.time[-1])
         label = textwrap.fill(f"{curve.title} [{curve.unit.replace('^2', '²')}]", WIDEST)
         traces = _traces(curve.time, curve.lines)
-        panel = Panel(title=curve.title, y_label=label, unit="", traces=traces, height=HIGH)
+        panel = Panel(title=curve.title, y_label=label, unit="", traces=traces)
     else:
         component = finding.component.split()[0]
         like = next((each for each in signals if each.key.startswith(component)), signals[0])
@@ -109,7 +110,7 @@ def _finding_figure(
     end = span[1] if finding.end_s is None else min(finding.end_s, span[1])
     shades = (Shade(max(finding.onset_s, span[0]), max(end, span[0]), "fault"),)
     marks = (Mark(finding.onset_s, f"onset, {finding.onset_s:.2f} s"),)
-    shown = Panel(**{**vars(panel), "shades": shades, "marks": marks})
+    shown = dataclasses.replace(panel, shades=shades, marks=marks, height=HIGH)
     return Figure(key, f"{title[:1].upper()}{title[1:]}", caption, (shown,), span)
 
 

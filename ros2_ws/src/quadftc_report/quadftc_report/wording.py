@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -26,6 +27,11 @@ def short(value: float | None, scale: float = 1.0) -> str:
         return NOTHING
     value *= scale
     return f"below {SMALLEST}" if 0.0 < abs(value) < SMALLEST else plain(value)
+
+
+def unbroken(text: str) -> str:
+    """Keep each number on one line with its unit."""
+    return re.sub(r"(?<=\d) (?=(?:s|%|V|deg|rad/s|m/s²?)(?:[ ,;.)]|$))", "\u00a0", text)
 
 
 def duration(value: float) -> str:
