@@ -86,5 +86,5 @@ def test_page_of_a_log_that_lacks_much_is_escaped_and_says_what_is_missing():
 
 
 def test_log_without_a_signal_to_draw_has_a_page():
-    log = FlightLog(path=Path("log"), format="test", magnetometer=Signal(TIME, np.ones((len(TIME), 3))))
+    log = FlightLog(path=Path("log"), format="test", thrust_command=Signal(TIME, np.ones((len(TIME), 1))))
     assert "nothing logged" in render_verdict(inspect(log))
