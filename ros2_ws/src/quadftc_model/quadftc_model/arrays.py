@@ -37,9 +37,13 @@ Flag = Bool[Any, "*batch"]  # np.bool_ for one vehicle, which NumPy does not typ
 Mask = Bool[AnyArray, "*batch 3"]
 States = UInt8[AnyArray, "*batch 3"]
 
+OF_NUMPY: frozenset[type] = frozenset({np.ndarray, np.float64, np.bool_, float, int, bool})  # the usual ones
+
 
 def namespace(*arrays: Array) -> Any:
     """Return the module with the functions (``sin``, ``where``...) for arrays and numbers."""
+    if OF_NUMPY.issuperset(map(type, arrays)):
+        return np
     for array in arrays:
         if not isinstance(array, (np.ndarray, np.generic)) and hasattr(array, "__array_namespace__"):
             return array.__array_namespace__()
@@ -54,6 +58,8 @@ def components(vector: Components) -> tuple[Any, ...]:
 def stacked(parts: Sequence[Scalar]) -> Components:
     """Join components along a new last axis, the inverse of :func:`components`."""
     xp = namespace(*parts)
+    if xp is np and not any(map(np.ndim, parts)):
+        return np.array(parts)  # ten times as fast as stack
     if len({np.shape(part) for part in parts}) > 1:
         parts = xp.broadcast_arrays(*parts)
     return xp.stack(parts, axis=-1)
@@ -67,7 +73,7 @@ def column(x: Array) -> Array:
 def norm(vector: Components) -> Column:
     """Euclidean norm over the last axis, (..., n) -> (..., 1); its derivative at zero is 0, not NaN."""
     xp = namespace(vector)
-    square = xp.sum(vector * vector, axis=-1, keepdims=True)
+    square = (vector * vector).sum(axis=-1, keepdims=True)
     zero = square == 0.0
     return xp.where(zero, 0.0, xp.sqrt(xp.where(zero, 1.0, square)))
 
