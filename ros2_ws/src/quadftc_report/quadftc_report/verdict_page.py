@@ -15,6 +15,7 @@ from quadftc_flight.junit import write_file
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.found import Curve
+from quadftc_replay.inspection.gyro import component_name
 from quadftc_replay.inspection.inspect import Inspection
 from quadftc_replay.inspection.verdict import Finding, Verdict, show
 from quadftc_report.description import Figure, Mark, Panel, Shade, Trace
@@ -96,22 +97,38 @@ def _finding_figure(
 ) -> Figure:
     """Draw the curve that shows a finding, its onset marked; without one, its component's signal."""
     said = [describe(finding), *finding.evidence]
-    caption = " ".join(f"{line[:1].upper()}{line[1:]}." for line in said)
+    caption = " ".join(f"{_capital(line)}." for line in said)
     key, title = f"finding-{number}", f"{finding.name}: {finding.kind}"
     if curve is not None and len(curve.time) > 1:
         span = float(curve.time[0]), float(curve.time[-1])
-        label = textwrap.fill(f"{curve.title} [{curve.unit.replace('^2', '²')}]", WIDEST)
+        unit = f" [{curve.unit.replace('^2', '²')}]" if curve.unit else ""
+        label = textwrap.fill(f"{curve.title}{unit}", WIDEST)
         traces = _traces(curve.time, curve.lines)
         panel = Panel(title=curve.title, y_label=label, unit="", traces=traces)
     else:
-        component = finding.component.split()[0]
-        like = next((each for each in signals if each.key.startswith(component)), signals[0])
+        like = _signal_of(finding.component, signals)
         panel, span = like.panels[0], like.span
     end = span[1] if finding.end_s is None else min(finding.end_s, span[1])
     shades = (Shade(max(finding.onset_s, span[0]), max(end, span[0]), "fault"),)
     marks = (Mark(finding.onset_s, f"onset, {finding.onset_s:.2f} s"),)
     shown = dataclasses.replace(panel, shades=shades, marks=marks, height=HIGH)
-    return Figure(key, f"{title[:1].upper()}{title[1:]}", caption, (shown,), span)
+    return Figure(key, _capital(title), caption, (shown,), span)
+
+
+def _key(component: str) -> str:
+    """Return the key of the figure of a component."""
+    return component.lower().replace(" ", "-")
+
+
+def _signal_of(component: str, signals: list[Figure]) -> Figure:
+    """Return the figure of a component, else one of its kind, else the first."""
+    key = _key(component)
+    kind = key.partition("-")[0]
+    return min(signals, key=lambda each: (each.key != key, not each.key.startswith(kind)))
+
+
+def _capital(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
 
 
 def _traces(time: np.ndarray, lines: Mapping[str, np.ndarray]) -> tuple[Trace, ...]:
@@ -126,27 +143,36 @@ def _signals(inspection: Inspection) -> Iterator[Figure]:
     """Draw the main sensors and the rotors over the whole log; each with the onset of the first cause."""
     end = max(inspection.flight.log.end, 1e-3)
     marks = tuple(Mark(each.onset_s, f"{each.name}: {each.kind}") for each in inspection.verdict.findings[:1])
-    for key, title, unit, signal, names in _logged(inspection):
+    for component, title, unit, signal, names in _logged(inspection):
         traces = _traces(signal.time, dict(zip(names, signal.value.T, strict=False)))
         panel = Panel(title=title, y_label=title, unit=unit, traces=traces, marks=marks)
-        yield Figure(key, f"{title[:1].upper()}{title[1:]}", "", (panel,), (0.0, end))
+        yield Figure(_key(component), _capital(title), "", (panel,), (0.0, end))
 
 
 def _logged(inspection: Inspection) -> Iterator[tuple[str, str, str, Signal, list[str]]]:
-    """Component, title, unit, samples and the names of their columns."""
+    """Component, title, unit, samples, names of their columns; of several sensors the first and the faulty."""
     log, gyro = inspection.flight.log, inspection.flight.gyro
-    if gyro is not None:
-        yield "gyro", "body rate", "rad/s", gyro[1], [*"xyz"]
-    for force in [*log.accelerometers.values()][:1]:
-        yield "accelerometer", "specific force", "m/s²", force, [*"xyz"]
+    faulty = {each.component.lower() for each in inspection.verdict.findings}
+    several = (
+        ("gyro", "body rate", "rad/s", {} if gyro is None else {gyro[0]: gyro[1], **log.gyros}, [*"xyz"]),
+        ("accelerometer", "specific force", "m/s²", log.accelerometers, [*"xyz"]),
+        ("magnetometer", "magnetic field", log.field_unit, log.magnetometers, [*"xyz"]),
+        ("barometer", "height by the barometer", "m", log.barometers, ["height"]),
+        ("gps", "position by satellites", "m", log.gps_positions, ["east", "north", "up"]),
+    )
+    for kind, title, unit, sensors, names in several:
+        for number, (name, signal) in enumerate(sensors.items()):
+            if number == 0 or component_name(kind, name) in faulty:
+                which = name if number else ""
+                yield component_name(kind, which), f"{title} {which}".strip(), unit, signal, names
     if log.attitude is not None:
         angles = np.degrees(euler_from_quaternion(log.attitude.value))
         yield "attitude", "attitude", "deg", Signal(log.attitude.time, angles), ["roll", "pitch"]
     rotors = [f"rotor {number}" for number in range(1, MAX_ROTORS + 1)]
     if log.rotor_speeds is not None:
-        yield "rotor-speeds", "rotor speeds", "rad/s", log.rotor_speeds, rotors
+        yield "rotor speeds", "rotor speeds", "rad/s", log.rotor_speeds, rotors
     if log.rotor_commands is not None:
-        yield "rotor-commands", "rotor commands", "1", log.rotor_commands, rotors
+        yield "rotor commands", "rotor commands", "1", log.rotor_commands, rotors
     if log.battery is not None:
         yield "battery", "battery", "V", log.battery, ["voltage"]
 

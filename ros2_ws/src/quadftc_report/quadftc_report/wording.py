@@ -31,7 +31,7 @@ def short(value: float | None, scale: float = 1.0) -> str:
 
 def unbroken(text: str) -> str:
     """Keep each number on one line with its unit."""
-    return re.sub(r"(?<=\d) (?=(?:s|%|V|deg|rad/s|m/s²?)(?:[ ,;.)]|$))", "\u00a0", text)
+    return re.sub(r"(?<=\d) (?=(?:s|%|V|Hz|mG|deg|rad/s|m/s²|m/s|m)(?:[ ,;.)]|$))", "\u00a0", text)
 
 
 def duration(value: float) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from quadftc_replay.flight_log import Event, FlightLog, Signal
+from quadftc_replay.inspection.found import Found, make_finding
 from quadftc_replay.inspection.inspect import Inspection, inspect
 from quadftc_report.verdict_page import figures_of, render_verdict
 
@@ -64,6 +65,17 @@ def test_finding_without_a_curve_is_shown_on_the_signal_of_its_component():
     [first, *_], _ = figures_of(bare)
     assert first.panels[0].title == "body rate"
     assert first.panels[0].marks[0].time == inspection.found[0].finding.onset_s
+
+
+def test_second_sensor_without_a_curve_is_drawn_itself():
+    rates = np.zeros((len(TIME), 3))
+    gyros = {"": Signal(TIME, rates + 1.0), "1": Signal(TIME, rates)}
+    inspection = flight(gyros=gyros)
+    finding = make_finding("gyro 1", "", "absent", 5.0)
+    verdict = inspection.verdict.model_copy(update={"findings": (finding,)})
+    [first, *_], _ = figures_of(inspection._replace(verdict=verdict, found=(Found(finding),)))
+    assert first.panels[0].title == "body rate 1"
+    assert not first.panels[0].traces[0].y.any()
 
 
 def test_messages_before_the_cause_are_folded():
