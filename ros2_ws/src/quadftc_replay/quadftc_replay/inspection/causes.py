@@ -29,7 +29,7 @@ FOLLOWS = {
     "attitude": ("attitude", "magnetometer"),
     "magnetometer": ("magnetometer", "attitude", "gps"),
     "barometer": ("barometer",),
-    "gps": ("gps", "accelerometer", "attitude", "barometer"),
+    "gps": ("gps", "gyro", "accelerometer", "attitude", "barometer"),
 }
 LATER = {"gyro": 0.5 * SLACK, "accelerometer": 0.5 * SLACK, "attitude": SLACK}  # s
 RESETS = ("reset", "lane switch", "primary", "aligned")  # words of an estimator that starts anew
@@ -98,7 +98,10 @@ def _rank(found: Found) -> tuple[bool, float]:
     """Order of causes: those that suffice, by onset; at once, those first that others follow from."""
     finding = found.finding
     is_fact = found.is_direct or finding.kind in FACTS
-    order = 0.0 if is_fact else LATER.get(finding.component.split()[0], 0.0)
+    component = finding.component.split()[0]
+    order = LATER.get(component, 0.0)
+    if is_fact:  # tests by the velocity of satellites see what happens to it within their window
+        order = -SLACK if component == "gps" else 0.0
     return finding.probability < SUFFICES, finding.onset_s + order
 
 

@@ -32,6 +32,7 @@ from quadftc_replay.inspection.whitening import Floats, scale
 COMPONENT = "magnetometer"
 FEWEST = 40  # samples
 SMALLEST = 0.3  # 1; of the field: what ArduPilot and PX4 let pass, 3 sigma of 50 mG, over 500 mG of the earth
+TURNED = 0.1  # rad; 6 deg of heading, which compasses reach without a fault
 STRONG = 0.6  # 1; of the field: what currents may add before ArduPilot's compassmot calls it bad
 SAME = 0.5  # 1; by which jumps differ that have one cause
 AROUND = 3.0  # s
@@ -47,10 +48,10 @@ class Field(NamedTuple):
     expected: Floats  # R' h + u c (n, 3)
 
     def turns(self, interval: Interval) -> bool:
-        """Whether the expected reading moves in a stretch of time further than estimators let pass."""
+        """Whether the expected reading moves in a stretch of time as if the vehicle turned by `TURNED`."""
         rows = slice(*np.searchsorted(self.rest.time, interval))
         part = self.expected[rows]
-        return len(part) > 1 and float(np.ptp(part, axis=0).max()) > SMALLEST * self.size
+        return len(part) > 1 and float(np.ptp(part, axis=0).max()) > TURNED * self.size
 
 
 def fields_of(flight: Flight) -> dict[str, Field]:
@@ -73,7 +74,8 @@ def _field_of(flight: Flight, sensor: Signal) -> Field | None:
     level = _level(flight, time)
     currents = level[:, None, None] * np.eye(3)
     columns = np.concatenate([turned, currents], axis=2)  # (n, 3, 6)
-    known, sigma = _fit(np.diff(columns, axis=0).reshape(-1, 6), np.diff(value, axis=0).ravel())
+    moved = np.any(np.diff(value, axis=0) != 0.0, axis=1)  # what repeats its reading says nothing
+    known, sigma = _fit(np.diff(columns, axis=0)[moved].reshape(-1, 6), np.diff(value, axis=0)[moved].ravel())
     expected = columns @ known
     size = float(np.nanmedian(np.linalg.norm(value, axis=1)))
     return Field(Signal(time, value - expected), size, known[3:], sigma[3:], expected)

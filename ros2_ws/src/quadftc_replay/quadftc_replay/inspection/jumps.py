@@ -3,11 +3,12 @@
 Around each sample a straight line and a shape h are fitted to the residual, by least squares over a window on
 both sides; h is a step, or a ramp from there on:
 
-    d(j) = a + b j + c h(j) + e,    c_hat(k) = sum_j w_j d(k + j)
+    d(t) = a + b t + c h(t) + e,    c_hat(k) = sum_j w_kj d(t_j)
 
-So what drifts all along, or grows with the rate of a motion, is none. The largest jump is taken out of the
-residual before the next one is looked for. The noise is the scatter of c_hat, by its median, so that a fault
-hardly raises it.
+So what drifts all along, or grows with the rate of a motion, is none. The weights follow the times of the
+samples, of which a log may lack some. The largest jump is taken out of the residual before the next one is
+looked for, and all of them before drifts are. The noise is the scatter of c_hat in calm, so that a fault
+hardly raises it. What healthy sensors jump by does not pass for a drift.
 """
 
 from __future__ import annotations
@@ -18,10 +19,12 @@ import numpy as np
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.steps import Step, join_ends
-from quadftc_replay.inspection.whitening import Floats, Mask, find_gaps, scale
+from quadftc_replay.inspection.whitening import Floats, Mask
 
-JUMP, DRIFT = 1.0, 5.0  # s; on each side of a jump, and of the begin of a drift
-FEWEST = 4  # samples, on each side
+JUMP, DRIFT = 1.0, 3.0  # s; on each side of a jump, and of the begin of a drift
+FEWEST, ENOUGH = 4, 10  # samples on each side; more are thinned out
+SPREAD = 1.5  # 1; times the usual length of a window, which lost samples may add to it
+CALM, CALM_SIGMA = 0.3, 0.385  # 1; quantile of |c_hat| that is calm, and what it is of a normal distribution
 LEVEL = 8.0  # standard deviations, as of steps
 MOST = 20  # jumps of one element
 
@@ -33,7 +36,7 @@ class Shape(NamedTuple):
     power: int
 
     def at(self, late: Floats) -> Floats:
-        """Return what it adds at times since it began (n,) [s]."""
+        """Return what it adds at times since it began [s]."""
         return np.where(late >= 0.0, np.maximum(late, 0.0) ** self.power, 0.0)
 
 
@@ -43,44 +46,57 @@ STEP, RAMP = Shape(JUMP, 0), Shape(DRIFT, 1)
 def find_jumps(residual: Signal, watched: Mask, smallest: Floats) -> tuple[list[Step], list[Step]]:
     """Find jumps and drifts of a residual (n, k), in the order of time, each with its end.
 
-    ``watched`` (n,) says where; ``smallest`` (n,) is a jump that healthy sensors reach, and that over `DRIFT`
-    a drift that they reach. The size of a drift counts per second. NaN are left out.
+    ``watched`` (n,) says where; ``smallest`` (n,) is a jump that healthy sensors reach. The size of a drift
+    counts per second. NaN are left out.
     """
     jumps, drifts = list[Step](), list[Step]()
     for axis in range(residual.value.shape[1]):
         rows = np.flatnonzero(np.isfinite(residual.value[:, axis]))
-        time, values = residual.time[rows], residual.value[rows, axis]
-        steps, rest = _along(axis, STEP, time, values, watched[rows], smallest[rows])
-        jumps += steps
-        drifts += _along(axis, RAMP, time, rest, watched[rows], smallest[rows] / DRIFT)[0]
+        time, least = residual.time[rows], smallest[rows]
+        steps, rest = _begins(STEP, time, residual.value[rows, axis], watched[rows], least)
+        ramps, _ = _begins(RAMP, time, rest, watched[rows], least)
+        jumps += [each._replace(axis=axis) for each in join_ends(steps, JUMP)]
+        drifts += [each._replace(axis=axis) for each in join_ends(ramps, DRIFT)]
     return sorted(jumps, key=lambda step: step.onset), sorted(drifts, key=lambda step: step.onset)
 
 
-def _along(
-    axis: int, shape: Shape, time: Floats, values: Floats, watched: Mask, smallest: Floats
+def _begins(
+    shape: Shape, time: Floats, values: Floats, watched: Mask, smallest: Floats
 ) -> tuple[list[Step], Floats]:
-    """Find what begins in one element (n,); return what is left of it, too."""
+    """Find what begins in one element (n,), in the order of time; return what is left of it, too."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else shape.window
-    side = max(FEWEST, round(shape.window / period))
-    if len(time) < 4 * side:
+    each_side = max(FEWEST, round(shape.window / period))
+    stride = -(-each_side // ENOUGH)
+    side = -(-each_side // stride)
+    reach = side * stride
+    if len(time) < 4 * reach:
         return [], values
-    place: Floats = period * np.arange(-side, side, dtype=np.float64)
-    weights = np.linalg.pinv(np.column_stack([np.ones_like(place), place, shape.at(place)]))[2]
-    gaps = np.cumsum(find_gaps(time))
-    inside = slice(side, len(time) - side + 1)
-    whole = np.zeros(len(time), np.bool_)  # no gap among the samples of the fit
-    whole[inside] = gaps[2 * side - 1 :] == gaps[: len(time) - 2 * side + 1]
-    whole &= watched
+    centres = np.arange(reach, len(time) - reach + stride)
+    rows = centres[:, None] + stride * np.arange(-side, side)
+    weights = _weights(shape, time[rows] - time[centres, None])
+    spans = time[rows[:, -1]] - time[rows[:, 0]]
+    whole = watched[centres] & (spans < SPREAD * 2.0 * reach * period)
+    if not whole.any():
+        return [], values
+    of_a_jump = np.max(np.abs(np.cumsum(weights, axis=1)), axis=1)  # what a jump of 1 looks like at most
+    least = smallest[centres] * of_a_jump
     found: list[Step] = []
     sigma = 0.0
     for _ in range(MOST):
-        size = np.zeros(len(time))
-        size[inside] = np.correlate(values, weights, "valid")
-        sigma = sigma or max(scale(size[whole]), 1e-12)  # before anything is taken out
-        score = np.where(whole, np.abs(size) / np.maximum(smallest, LEVEL * sigma), 0.0)
-        row = int(np.argmax(score))
-        if score[row] < 1.0:
+        size = np.sum(weights * values[rows], axis=1)
+        sigma = sigma or max(float(np.quantile(np.abs(size[whole]), CALM)) / CALM_SIGMA, 1e-9)
+        score = np.where(whole, np.abs(size) / np.maximum(least, LEVEL * sigma), 0.0)
+        best = int(np.argmax(score))
+        if score[best] < 1.0:
             break
-        found.append(Step(axis, float(time[row]), None, float(size[row]), sigma, float(score[row])))
-        values = values - size[row] * shape.at(time - time[row])
-    return join_ends(sorted(found, key=lambda step: step.onset), shape.window), values
+        onset, amount = float(time[centres[best]]), float(size[best])
+        found.append(Step(0, onset, None, amount, sigma, float(score[best])))
+        values = values - amount * shape.at(time - onset)
+    return sorted(found, key=lambda step: step.onset), values
+
+
+def _weights(shape: Shape, late: Floats) -> Floats:
+    """What each sample adds to the least-squares estimate of the shape (m, k), at times since it (m, k)."""
+    design = np.stack([np.ones_like(late), late, shape.at(late)], axis=-1)
+    across = np.swapaxes(design, 1, 2)
+    return np.asarray(np.linalg.solve(across @ design, across)[:, 2], np.float64)
