@@ -4,7 +4,8 @@
 
 A receiver takes velocity from the Doppler shift and position from times of flight: two measurements, so
 that d drifts slowly. It jumps with a position that jumps, and with a height by pressure that does. What jumps
-in both is the velocity, which they share. A velocity is compared so with the specific force in earth axes.
+in both is the velocity, which they share. A velocity is compared so with the specific force in earth axes,
+after the delay that leaves least.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.gyro import component_name
 from quadftc_replay.inspection.jumps import DRIFT, FEWEST, JUMP, find_jumps
-from quadftc_replay.inspection.path import attitude_at
+from quadftc_replay.inspection.path import DELAYS, attitude_at
 from quadftc_replay.inspection.steps import Step
 from quadftc_replay.inspection.verdict import show
 from quadftc_replay.inspection.whitening import Floats, Mask
@@ -36,9 +37,7 @@ TOWARDS: Mapping[int, tuple[str, str, str]] = {
 }
 GATE = 5.0  # standard deviations that the estimators of ArduPilot and PX4 let pass
 CLAIMED = 0.5  # m; a receiver's least standard deviation (ArduPilot EK3_POSNE_M_NSE, PX4 EKF2_GPS_P_NOISE)
-SPEED = (
-    0.3  # m/s; what ArduPilot and PX4 take for its deviation of velocity (EK3_VELNE_M_NSE, EKF2_GPS_V_NOISE)
-)
+SPEED = 0.3  # m/s; the same of its velocity (ArduPilot EK3_VELNE_M_NSE, PX4 EKF2_GPS_V_NOISE)
 GROUND_EFFECT = 4.0  # m; that the wash of the rotors near the ground adds (PX4 EKF2_GND_EFF_DZ)
 PAUSE = 1.0  # s; of a velocity, over which its integral is not known
 SAME = 0.5  # 1; by which jumps differ that have one cause
@@ -68,14 +67,16 @@ def velocity_findings(flight: Flight) -> Iterator[Found]:
     felt = to_earth(attitude_at(attitude, force.time), np.nan_to_num(force.value))
     acceleration = Signal(force.time, felt - [0.0, 0.0, STANDARD_GRAVITY])
     for name, velocity in flight.log.gps_velocities.items():
-        residual = _less_integral(velocity, acceleration)
+        late = (Signal(force.time + delay, acceleration.value) for delay in DELAYS.tolist())
+        residual = min((_less_integral(velocity, each) for each in late), key=_unrest)
         smallest = np.full(len(residual), GATE * SPEED)
         for step in find_jumps(residual, _watched(flight, residual), smallest)[0]:
             changes = np.diff(residual.value[:, step.axis])
             row = int(np.searchsorted(residual.time, step.onset)) - 1
             near = changes[max(row - FEWEST, 0) : row + FEWEST + 1]
-            if abs(changes[row] - np.nanmedian(near) - step.size) > SAME * abs(step.size):
-                continue  # a wrong heading or force takes its time
+            is_sharp = abs(changes[row] - np.nanmedian(near) - step.size) < SAME * abs(step.size)
+            if not is_sharp or step.sigma > SPEED:
+                continue  # a wrong heading or force takes its time; force sampled too slowly says little
             element, way = _way(step.axis, step.size)
             said = f"its velocity jumps by {show(abs(step.size), 'm/s')} {way}, against the specific force"
             yield _found(component_name(RECEIVER, name), element, "offset", step, said, residual, "m/s")
@@ -133,6 +134,12 @@ def _less_integral(position: Signal, velocity: Signal) -> Signal:
         dark |= (position.time > velocity.time[row]) & (position.time < velocity.time[row + 1])
     integral[:, np.isnan(velocity.value).all(axis=0)] = np.nan
     return Signal(position.time, np.where(dark[:, None], np.nan, position.value - integral))
+
+
+def _unrest(residual: Signal) -> float:
+    """Return the usual change of a residual from sample to sample."""
+    changes = np.linalg.norm(np.diff(residual.value, axis=0), axis=1)
+    return float(np.median(changes[np.isfinite(changes)])) if np.isfinite(changes).any() else np.inf
 
 
 def _receiver_jumps(flight: Flight, name: str, residual: Signal) -> tuple[list[Step], list[Step]]:
