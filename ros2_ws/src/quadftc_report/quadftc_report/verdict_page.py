@@ -150,15 +150,15 @@ def _signals(inspection: Inspection) -> Iterator[Figure]:
 
 
 def _logged(inspection: Inspection) -> Iterator[tuple[str, str, str, Signal, list[str]]]:
-    """Component, title, unit, samples, names of their columns; of several sensors the first and the faulty."""
+    """Component, title, unit, samples, their names; of several sensors the first one and the faulty ones."""
     log, gyro = inspection.flight.log, inspection.flight.gyro
     faulty = {each.component.lower() for each in inspection.verdict.findings}
     several = (
         ("gyro", "body rate", "rad/s", {} if gyro is None else {gyro[0]: gyro[1], **log.gyros}, [*"xyz"]),
         ("accelerometer", "specific force", "m/s²", log.accelerometers, [*"xyz"]),
         ("magnetometer", "magnetic field", log.field_unit, log.magnetometers, [*"xyz"]),
-        ("barometer", "height by the barometer", "m", log.barometers, ["height"]),
-        ("gps", "position by satellites", "m", log.gps_positions, ["east", "north", "up"]),
+        ("barometer", "barometer height", "m", log.barometers, ["height"]),
+        ("gps", "satellite position", "m", log.gps_positions, ["east", "north", "up"]),
     )
     for kind, title, unit, sensors, names in several:
         for number, (name, signal) in enumerate(sensors.items()):

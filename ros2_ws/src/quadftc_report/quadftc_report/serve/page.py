@@ -85,7 +85,7 @@ def add_page(app: FastAPI, jobs: Jobs) -> None:
 
     @app.get("/")
     async def page() -> HTMLResponse:
-        text = render_template("serve.html", jobs=jobs, formats=FORMATS)
+        text = render_template("serve.html", jobs=jobs, formats=FORMATS, cards=render_list(jobs))
         return HTMLResponse(text, headers=NO_FRAMES)
 
     @app.get("/list")
