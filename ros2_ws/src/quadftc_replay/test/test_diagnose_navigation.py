@@ -1,0 +1,212 @@
+"""Magnetometers, barometers and satellite receivers at the rates at which autopilots log them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadftc_model.rotations import quaternion_from_euler, quaternion_product, to_body
+from quadftc_replay.flight_log import Event, FlightLog, Signal
+from quadftc_replay.inspection.inspect import inspect
+from quadftc_replay.inspection.verdict import Finding
+
+END, ONSET, UNTIL = 40.0, 18.05, 25.05  # s
+FIELD, GRAVITY = np.array([50.0, 220.0, -420.0]), np.array([0.0, 0.0, 9.80665])  # mG, m/s²
+Change = Callable[[Signal], Signal]
+
+
+def at(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Position [m], velocity, acceleration and attitude of a vehicle that flies eights and turns."""
+    size, rate = np.array([8.0, 6.0, 1.5]), np.array([0.5, 0.8, 0.4])
+    angle = time[:, None] * rate
+    acceleration = -size * rate**2 * np.sin(angle)
+    roll, pitch = -acceleration[:, 1] / 9.8, acceleration[:, 0] / 9.8
+    q = quaternion_from_euler(np.stack([roll, pitch, 2.0 * np.sin(0.3 * time)], axis=-1))
+    return size * np.sin(angle), size * rate * np.cos(angle), acceleration, q
+
+
+def fly(seed: int = 1, magnetometers: int = 3) -> FlightLog:
+    """A healthy flight as ArduPilot logs it: a receiver that lags, hard iron, a height that wanders."""
+    rng = np.random.default_rng(seed)
+
+    def noisy(rate: float, values: Callable[[np.ndarray], np.ndarray], sigma: float) -> Signal:
+        time = np.arange(0.0, END, 1.0 / rate)
+        exact = values(time)
+        return Signal(time, exact + sigma * rng.standard_normal(exact.shape))
+
+    def rates(time: np.ndarray) -> np.ndarray:
+        half = 1e-3  # s
+        back = at(time - half)[3] * np.array([-1.0, -1.0, -1.0, 1.0])
+        turn = quaternion_product(back, at(time + half)[3])
+        return turn[:, :3] * np.sign(turn[:, 3:]) / half
+
+    def wander(time: np.ndarray) -> np.ndarray:
+        return at(time)[0][:, 2:] + 100.0 + 0.03 * time[:, None] + 0.5 * np.sin(0.2 * time)[:, None]
+
+    names = ("", "1", "2")[:magnetometers]
+    iron = {name: 60.0 * rng.standard_normal(3) for name in names}
+    return FlightLog(
+        path=Path("flight"),
+        format="ArduPilot BIN",
+        gyros={"": noisy(25.0, rates, 0.003)},
+        accelerometers={"": noisy(25.0, lambda t: to_body(at(t)[3], at(t)[2] + GRAVITY), 0.05)},
+        attitude=noisy(10.0, lambda t: at(t)[3], 0.0),
+        attitude_from_gyro=True,
+        magnetometers={
+            name: noisy(3.3, lambda t, b=iron[name]: to_body(at(t)[3], np.tile(FIELD, (len(t), 1))) + b, 2.0)
+            for name in names
+        },
+        barometers={name: noisy(5.0, wander, 0.1) for name in ("", "1")},
+        gps_positions={"": noisy(5.0, lambda t: at(t - 0.2)[0], 0.05)},
+        gps_velocities={"": noisy(5.0, lambda t: at(t - 0.2)[1], 0.05)},
+        gps_status={"": noisy(5.0, lambda t: np.tile([3.0, 12.0, 0.4], (len(t), 1)), 0.0)},
+        rotor_commands=noisy(10.0, lambda t: np.full((len(t), 4), 0.4), 0.01),
+    )
+
+
+def changed(log: FlightLog, **changes: Change) -> FlightLog:
+    """The log with the first sensor of some fields changed."""
+    fields = {}
+    for field, change in changes.items():
+        sensors = getattr(log, field)
+        fields[field] = {**sensors, "": change(sensors[""])}
+    return dataclasses.replace(log, **fields)
+
+
+def offset(*size: float, until: float = END) -> Change:
+    def change(signal: Signal) -> Signal:
+        there = (signal.time >= ONSET) & (signal.time < until)
+        return Signal(signal.time, signal.value + there[:, None] * np.array(size))
+
+    return change
+
+
+def drift(*rate: float) -> Change:
+    return lambda signal: Signal(
+        signal.time, signal.value + np.maximum(signal.time - ONSET, 0.0)[:, None] * np.array(rate)
+    )
+
+
+def frozen(signal: Signal) -> Signal:
+    row = int(np.searchsorted(signal.time, ONSET))
+    value = signal.value.copy()
+    value[row:] = value[row - 1]
+    return Signal(signal.time, value)
+
+
+def lost(signal: Signal) -> Signal:
+    kept = (signal.time < ONSET) | (signal.time > UNTIL)
+    return Signal(signal.time[kept], signal.value[kept])
+
+
+def first_of(log: FlightLog) -> Finding:
+    """The first finding, of the only component that is named."""
+    findings = inspect(log).verdict.findings
+    assert len({each.component for each in findings}) == 1, findings
+    return findings[0]
+
+
+@pytest.mark.parametrize("magnetometers", [1, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_healthy_flight_is_judged_and_nothing_is_found(seed: int, magnetometers: int):
+    verdict = inspect(fly(seed, magnetometers)).verdict
+    assert verdict.findings == ()
+    assert {"magnetometer", "barometer", "gps"} <= set(verdict.judged)
+
+
+@pytest.mark.parametrize("magnetometers", [1, 2, 3])
+def test_offset_of_a_magnetometer_is_named_with_its_axis(magnetometers: int):
+    found = first_of(changed(fly(magnetometers=magnetometers), magnetometers=offset(0.0, -300.0, 0.0)))
+    assert (found.component, found.element, found.kind, found.unit) == ("magnetometer", "y", "offset", "mG")
+    assert found.onset_s == pytest.approx(ONSET, abs=0.31)
+    assert found.size == pytest.approx(-300.0, abs=2.0 * found.sigma)
+
+
+def test_magnetometers_that_turn_with_the_attitude_and_not_with_the_gyro_are_right():
+    log = fly()
+    q = log.attitude.value.copy()
+    late = log.attitude.time >= ONSET
+    yaw = quaternion_from_euler(np.array([0.0, 0.0, 1.0]))  # the estimator sets its heading anew
+    q[late] = quaternion_product(np.tile(yaw, (late.sum(), 1)), q[late])
+    reset = (Event(ONSET, "EV", "EKF yaw reset"),)
+    log = dataclasses.replace(log, attitude=Signal(log.attitude.time, q), events=reset)
+    assert not [each for each in inspect(log).verdict.findings if each.component.startswith("magnetometer")]
+
+
+def test_interference_that_follows_the_rotors_is_named():
+    log = fly()
+    level = 0.4 + 0.2 * np.sin(2.0 * log.rotor_commands.time)
+    log = dataclasses.replace(log, rotor_commands=Signal(log.rotor_commands.time, np.tile(level, (4, 1)).T))
+
+    def disturb(signal: Signal) -> Signal:
+        added = 500.0 * np.sin(2.0 * signal.time)[:, None] * np.array([0.0, 0.0, 1.0])
+        return Signal(signal.time, signal.value + added)
+
+    found = first_of(changed(log, magnetometers=disturb))
+    assert (found.component, found.element, found.kind) == ("magnetometer", "z", "interference")
+
+
+def test_barometers_that_jump_together_are_named_once():
+    log, glitch = fly(), offset(10.0, until=UNTIL)
+    barometers = {name: glitch(each) for name, each in log.barometers.items()}
+    (found,) = inspect(dataclasses.replace(log, barometers=barometers)).verdict.findings
+    assert (found.component, found.element, found.kind) == ("barometer", "", "offset")
+    assert found.size == pytest.approx(10.0, abs=3.0 * found.sigma)
+    assert (found.onset_s, found.end_s) == pytest.approx((ONSET, UNTIL), abs=0.21)
+    assert "barometer 1 does the same" in found.evidence[0]
+
+
+@pytest.mark.parametrize(("axis", "element"), [(0, "y"), (1, "x"), (2, "z")])  # east, north, up
+def test_position_of_satellites_that_jumps_is_named_by_its_direction(axis: int, element: str):
+    glitch = offset(*(8.0 * np.eye(3)[axis]), until=UNTIL)
+    (found,) = inspect(changed(fly(), gps_positions=glitch)).verdict.findings
+    assert (found.component, found.element, found.kind, found.unit) == ("gps", element, "offset", "m")
+    assert found.size == pytest.approx(8.0, abs=2.0 * found.sigma)
+    assert (found.onset_s, found.end_s) == pytest.approx((ONSET, UNTIL), abs=0.21)
+
+
+def test_position_that_is_pulled_off_and_a_height_that_drifts_are_told_by_their_rate():
+    found = first_of(changed(fly(), gps_positions=drift(0.0, 2.0, 0.0)))
+    assert (found.component, found.element, found.kind, found.unit) == ("gps", "x", "drift", "m/s")
+    assert found.size == pytest.approx(2.0, abs=0.2)
+    log = fly()
+    sinking = {name: drift(-3.0)(each) for name, each in log.barometers.items()}
+    found = first_of(dataclasses.replace(log, barometers=sinking))
+    assert (found.component, found.kind) == ("barometer", "drift")
+    assert found.onset_s == pytest.approx(ONSET, abs=0.5)
+
+
+def test_velocity_of_satellites_that_jumps_is_told_from_a_wrong_accelerometer():
+    pull = {"gps_velocities": offset(3.0, 0.0, 0.0), "gps_positions": drift(3.0, 0.0, 0.0)}
+    found = first_of(changed(fly(), **pull))
+    assert (found.component, found.element, found.unit) == ("gps", "y", "m/s")
+    found = first_of(changed(fly(), accelerometers=offset(3.0, 0.0, 0.0)))
+    assert (found.component, found.element) == ("accelerometer", "x")
+
+
+@pytest.mark.parametrize(("change", "kind"), [(frozen, "stuck"), (lost, "absent")])
+@pytest.mark.parametrize("component", ["magnetometer", "barometer", "gps"])
+def test_sensor_that_repeats_or_stops_comes_first(component: str, change: Change, kind: str):
+    fields = {
+        "magnetometer": ["magnetometers"],
+        "barometer": ["barometers"],
+        "gps": ["gps_positions", "gps_velocities", "gps_status"],
+    }
+    found = inspect(changed(fly(), **dict.fromkeys(fields[component], change))).verdict.findings[0]
+    assert (found.component, found.kind) == (component, kind)
+    assert found.onset_s == pytest.approx(ONSET, abs=0.4)
+
+
+def test_log_that_loses_messages_by_chance_lacks_no_sensor():
+    rng = np.random.default_rng(5)
+    log = fly()
+
+    def thinned(signal: Signal) -> Signal:
+        kept = rng.random(len(signal)) > 0.6
+        return Signal(signal.time[kept], signal.value[kept])
+
+    assert inspect(changed(log, barometers=thinned, magnetometers=thinned)).verdict.findings == ()
