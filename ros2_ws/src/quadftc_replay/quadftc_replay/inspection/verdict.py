@@ -42,9 +42,12 @@ class Finding(_Strict):
     """A fault of one element of one component."""
 
     component: str = Field(
-        description="gyro, accelerometer, attitude, rotor, battery, speed sensor; another IMU: 'gyro 2'"
+        description="gyro, accelerometer, attitude, rotor, battery, speed sensor, magnetometer, barometer, gps;"
+        " another one: 'gyro 2'"
     )
-    element: str = Field(description="x, y, z; roll, pitch, yaw; a rotor's number from 1; '': all of it")
+    element: str = Field(
+        description="x, y, z (gps: north, east, up); roll, pitch, yaw; a rotor's number; '': all of it"
+    )
     kind: Kind = Field(description="what the fault looks like; loss: a part is missing, off: all of it")
     onset_s: float = Field(ge=0.0, description="begin, in seconds from the first sample of the log")
     end_s: float | None = Field(description="end in the same seconds; null: it lasts to the end of the log")
