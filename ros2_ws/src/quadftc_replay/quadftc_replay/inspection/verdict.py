@@ -42,8 +42,8 @@ class Finding(_Strict):
     """A fault of one element of one component."""
 
     component: str = Field(
-        description="gyro, accelerometer, attitude, rotor, battery, speed sensor, magnetometer, barometer, gps;"
-        " another one: 'gyro 2'"
+        description="gyro, accelerometer, attitude, rotor, battery, speed sensor, magnetometer, barometer,"
+        " gps; another one: 'gyro 2'"
     )
     element: str = Field(
         description="x, y, z (gps: north, east, up); roll, pitch, yaw; a rotor's number; '': all of it"
