@@ -168,7 +168,7 @@ def test_node_lives_through_bad_messages_and_answers_good_ones(case, mode):
     node_class, parameters, driver, answer = NODES[case]
     injects, clock = node_class is FaultInjectorNode, [1000 * SECOND]
 
-    @settings(max_examples=settings().max_examples // 4)
+    @settings(max_examples=settings().max_examples // 8)
     @given(st.data())
     def sequence(data):
         now_ns = clock[0] = clock[0] + 20 * SECOND

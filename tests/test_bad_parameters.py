@@ -140,7 +140,7 @@ def test_bad_value_at_the_start_is_refused_by_name(case):
             if value is not None
         ]
 
-    @settings(max_examples=40)
+    @settings(max_examples=settings().max_examples // 3)
     @given(st.sampled_from(bad))
     def refused(pair):
         name, value = pair

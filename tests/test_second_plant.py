@@ -18,7 +18,7 @@ def flown(plant: str, scheme: str) -> Flight:
     return fly(with_duration(load_scenario(find_scenario("free_circle"), changes), 8.0), scheme)
 
 
-@pytest.mark.parametrize("scheme", ["conventional", "isolating"])
+@pytest.mark.parametrize("scheme", ["isolating", pytest.param("conventional", marks=pytest.mark.thorough)])
 def test_scheme_holds_the_circle_on_both_plants(scheme: str):
     ours, theirs = (
         flight_metrics(flown(plant, scheme), ())["position_rmse_m"] for plant in ("free_flight", "mujoco")

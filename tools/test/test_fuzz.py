@@ -12,6 +12,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from mcap.writer import CompressionType, Writer
+from sampling import sampled
 
 from quadftc_tools.soak.fuzz_case import Case, try_case
 from quadftc_tools.soak.fuzz_seeds import CAMPAIGN, GAINS, SCENARIO, Seeds, with_vehicle
@@ -39,7 +40,7 @@ def sandbox(tmp_path_factory):
 def test_bad_input_is_answered_in_a_line_and_an_exit_code(name, seeds, sandbox):
     target = TARGETS[name]
 
-    @settings(max_examples=EXAMPLES.get(name, 10))
+    @settings(max_examples=EXAMPLES.get(name, settings().max_examples // 8))
     @given(target.cases(seeds))
     def answered(case):
         outcome = try_case(case, target.program, sandbox)
@@ -124,9 +125,13 @@ def test_argument_that_once_crashed_is_refused(seeds, sandbox, arguments, words)
     assert max(map(len, lines)) < 1300
 
 
-@pytest.mark.parametrize("text", [b"[" * 5_000, b"{a: " * 5_000, b"a: &a [*a]\n", b"- " * 3_000])
-@pytest.mark.parametrize("file", ["parameters.yaml", "metadata.yaml", "scenario.yaml"])
-@pytest.mark.parametrize("command", ["check", "replay", "repair"])
+DEEP = [b"[" * 5_000, b"{a: " * 5_000, b"a: &a [*a]\n", b"- " * 3_000]
+BESIDE = ["parameters.yaml", "metadata.yaml", "scenario.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("text", "file", "command"), sampled(DEEP, BESIDE, ["check", "replay", "repair"], every=4)
+)
 def test_deep_yaml_beside_a_bag_is_no_crash(seeds, sandbox, command, file, text):
     files = {f"bag/{name}": data for name, data in seeds.bag.items()}
     files |= {f"bag/{seeds.mcap}": seeds.loose, f"bag/{file}": text}

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
+from sampling import sampled
 
 from quadftc_compile.engine import CEngine
 from quadftc_control.position_controller import PositionControllerInputs, position_controllers
@@ -17,6 +18,7 @@ from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 EVERY_CONTROLLER = pytest.mark.parametrize("name", position_controllers.names())
 EVERY_VEHICLE = pytest.mark.parametrize("vehicle", vehicle_names())
+SOME_VEHICLES = pytest.mark.parametrize("vehicle", sampled(vehicle_names(), every=3))
 DT_NS, DT, COUNT, LANES = 4_000_000, 0.004, 40, 5
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -214,7 +216,7 @@ class PointMass:
 
 
 @EVERY_CONTROLLER
-@EVERY_VEHICLE
+@SOME_VEHICLES
 def test_vehicle_flies_to_its_place_and_holds_it_in_steady_wind(name, vehicle):
     place = trajectories.get("hover")(position=(3.0, -2.0, 1.0))
     errors = PointMass(controller(name, vehicle), [0.5, -0.3, 0.2], np.zeros(3)).errors(place, 16.0)
@@ -223,7 +225,7 @@ def test_vehicle_flies_to_its_place_and_holds_it_in_steady_wind(name, vehicle):
 
 
 @EVERY_CONTROLLER
-@EVERY_VEHICLE
+@SOME_VEHICLES
 def test_circle_is_followed_without_an_error_of_the_lag(name, vehicle):
     circle = trajectories.get("circle")(speed=2.0)
     errors = PointMass(controller(name, vehicle), np.zeros(3), [2.0, 0.0, 1.0]).errors(circle, 7.0)

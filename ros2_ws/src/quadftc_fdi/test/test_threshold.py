@@ -43,8 +43,7 @@ def states_of(estimates, axis=0):
     return np.array([estimate.state[axis] for estimate in estimates])
 
 
-@pytest.mark.parametrize("rate", [50, 250, 1000])
-@pytest.mark.parametrize("slope_deg", [12.0, 30.0])
+@pytest.mark.parametrize(("slope_deg", "rate"), [(12.0, 50), (30.0, 1000)])
 def test_ramp_is_found_when_15_deg_above_7_deg_per_second_have_accumulated(rate, slope_deg):
     observer = Threshold(vehicle=VEHICLE)
     time = np.arange(6 * rate) / rate

@@ -6,6 +6,7 @@ import sys
 import jax
 import numpy as np
 import pytest
+from sampling import sampled
 
 from quadftc_model.parameters import build
 from quadftc_model.rotations import quaternion_from_euler, turn
@@ -84,8 +85,7 @@ def differences(vehicle, manoeuvre, **options):
     return worst
 
 
-@pytest.mark.parametrize("manoeuvre", BOUNDS)
-@pytest.mark.parametrize("name", vehicle_names())
+@pytest.mark.parametrize(("name", "manoeuvre"), sampled(vehicle_names(), BOUNDS, every=5))
 def test_mujoco_agrees_on_an_open_loop_manoeuvre(name, manoeuvre):
     assert np.all(differences(load_vehicle(name), manoeuvre) < BOUNDS[manoeuvre])
 
@@ -95,7 +95,7 @@ def test_what_mujoco_differs_by_falls_with_its_step():
     assert np.all(fine[:3] < 0.4 * coarse[:3])  # of order 1, as drag is held during a step
 
 
-@pytest.mark.parametrize("name", vehicle_names())
+@pytest.mark.parametrize("name", sampled(vehicle_names(), every=3))  # the lightest and the heaviest
 def test_vehicle_that_falls_to_the_ground_comes_to_rest_as_in_our_plant(name):
     rests = []
     for kind in (FreeFlight, Mujoco):
