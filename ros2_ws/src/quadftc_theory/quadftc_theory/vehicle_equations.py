@@ -130,8 +130,8 @@ def linearised(
     """Linear model around ``point`` of expressions that are zero; the derivative of state ``x`` is ``dx``."""
     groups = ([f"d{state}" for state in states], states, unknowns, faults)
     jacobian = sympy.Matrix(list(equations)).jacobian(_vector([name for names in groups for name in names]))
-    values = {sympy.Symbol(symbol): value for symbol, value in point.items()}
-    dense = np.array(jacobian.subs(values).tolist(), dtype=np.float64)
+    values = {sympy.Symbol(symbol): sympy.Float(value) for symbol, value in point.items()}
+    dense = np.array(jacobian.xreplace(values).tolist(), dtype=np.float64)
     dense[np.abs(dense) < COEFFICIENT_ZERO] = 0.0
     matrices = np.split(dense, np.cumsum([len(names) for names in groups])[:-1], axis=1)
     return LinearModel(name, tuple(states), tuple(faults), *matrices)
