@@ -7,6 +7,7 @@ import pytest
 from accusing_observer import registered
 
 from node_bench import imu_message, vector_message
+from quadftc_compile.engine import CEngine
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.disturbance_observer import DisturbanceEstimation, disturbance_observers
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
@@ -74,16 +75,16 @@ def test_supervised_without_last_words_takes_the_fault_for_the_attitude():
 
 
 def test_supervised_that_has_taken_over_trusts_the_sensor_when_its_fault_ends():
-    observer, samples = Supervised(vehicle=QBALL), resting()
-    stepper = Stepper(observer)
-    first = next(samples)
-    stepper.begin(FIRST_NS, first, WORDS)
-    for k in range(1, 500):
-        stepper.step(FIRST_NS + k * PERIOD_NS, next(samples))
-    for k, each in zip(range(2500), samples, strict=False):
-        q_xyzw = quaternion_from_euler(euler_from_quaternion(each.imu.q_xyzw) - FAULT)
-        inputs = each._replace(imu=each.imu._replace(q_xyzw=q_xyzw))
-        estimate = stepper.step(FIRST_NS + (500 + k) * PERIOD_NS, inputs)
+    diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL), CEngine()), resting()
+    diagnosis.offer(FIRST_NS - PERIOD_NS, WORDS)
+    for k, each in zip(range(3000), samples, strict=False):
+        sample = each.imu
+        if k >= 500:
+            q_xyzw = quaternion_from_euler(euler_from_quaternion(sample.q_xyzw) - FAULT)
+            sample = sample._replace(q_xyzw=q_xyzw)
+        estimate = diagnosis.diagnose(FIRST_NS + k * PERIOD_NS, sample, np.zeros(3))
+        assert k >= 500 or estimate.state[0] == FAULTY
+    assert diagnosis.resumed == 1
     assert estimate.state.tolist() == [HEALTHY] * 3
 
 
@@ -132,7 +133,8 @@ def rested(first, second, before=400, after=260):
     Returns corrected Euler angles [deg] and body rates [deg/s] from the change on, and what the first
     observer would have said there.
     """
-    diagnosis, samples, found = Diagnosis(fault_observers.get(first)(vehicle=QBALL)), resting(), []
+    diagnosis = Diagnosis(fault_observers.get(first)(vehicle=QBALL), CEngine())
+    samples = resting()
 
     def corrected(by, k, each):
         healthy = quaternion_from_euler(euler_from_quaternion(each.imu.q_xyzw) - FAULT)
@@ -205,7 +207,7 @@ def test_diagnosis_resumes_at_the_first_complete_sample_after_the_words():
 
 @pytest.mark.parametrize("name", ["isolating", "none"])
 def test_gyro_bias_is_told_while_it_still_leaves_the_corrected_rate(name):
-    diagnosis, samples = Diagnosis(fault_observers.get(name)(vehicle=QBALL)), resting()
+    diagnosis, samples = Diagnosis(fault_observers.get(name)(vehicle=QBALL), CEngine()), resting()
     for k in range(500):  # 2 s; the bias is known after about one, and leaves the rate in two
         sample = next(samples).imu
         estimate = diagnosis.diagnose(FIRST_NS + k * PERIOD_NS, sample, np.zeros(3))

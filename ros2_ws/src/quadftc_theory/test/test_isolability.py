@@ -180,7 +180,7 @@ def test_rotors_of_a_quadrotor_need_a_derivative_of_the_gyro_to_be_told_apart():
     assert analysed(causality="integral", **case).groups == (("rotor 1", "rotor 2"), ("rotor 3", "rotor 4"))
 
 
-@settings(max_examples=8)
+@settings(max_examples=settings().max_examples // 10)
 @given(
     sensors=st.sets(st.sampled_from(list(SENSORS)), min_size=1, max_size=4),
     more=st.sampled_from(list(SENSORS)),
