@@ -108,7 +108,7 @@ def other_domain() -> int:
     return 81 + int(os.environ["ROS_DOMAIN_ID"]) % 20
 
 
-@pytest.mark.parametrize("by", ["namespace", "domain"])
+@pytest.mark.parametrize("by", ["namespace", pytest.param("domain", marks=pytest.mark.thorough)])
 def test_two_graphs_side_by_side_do_not_hear_each_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by: str
 ):
@@ -246,7 +246,7 @@ def test_second_signal_does_not_leave_nodes_behind():
     assert "Traceback" not in errors
 
 
-@pytest.mark.parametrize("graph", ["composed", "processes"])
+@pytest.mark.parametrize("graph", ["composed", pytest.param("processes", marks=pytest.mark.thorough)])
 def test_whole_number_where_ros_wants_another_type_is_named(tmp_path: Path, graph: str):
     (tmp_path / "graph.yaml").write_text("plant: {ros__parameters: {rate: 250}}\n", encoding="utf-8")
     code, errors = finished("--params", tmp_path / "graph.yaml", "--graph", graph)

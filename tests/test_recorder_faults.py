@@ -34,7 +34,13 @@ from quadftc_tools.soak.recorder import (
 
 @pytest.mark.parametrize(
     ("form", "hit"),
-    [(NODE, KILLED), (NODE_LOCKSTEP, KILLED), (COMPOSED, KILLED), (COMPOSED_LOCKSTEP, DISK_FULL)],
+    [
+        (NODE, KILLED),
+        (NODE_LOCKSTEP, KILLED),
+        (COMPOSED, KILLED),
+        # a shorter one: test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there
+        pytest.param(COMPOSED_LOCKSTEP, DISK_FULL, marks=pytest.mark.thorough),
+    ],
 )
 def test_recorder_hit_at_a_random_time_loses_less_than_a_second(form, hit):
     trial = try_recorder(form, hit, random.Random(f"{form} {hit}"))

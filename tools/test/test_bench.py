@@ -147,7 +147,9 @@ SHORT_FLIGHT = ["latency", "--duration", "1.5", "--rate", "100"]
         (["step", "--batches", "2", "--only", "geometric", "--engine", "numpy"], "step_numpy"),
         (["lockstep", "--duration", "0.5", "--repeat", "1", "--vehicles", "2"], "lockstep"),
         (SHORT_FLIGHT, "latency"),
-        ([*SHORT_FLIGHT, "--graph", "processes", "--no-record"], "latency"),
+        pytest.param(
+            [*SHORT_FLIGHT, "--graph", "processes", "--no-record"], "latency", marks=pytest.mark.thorough
+        ),
     ],
 )
 def test_benchmark_writes_what_it_measured(tmp_path, capfd, arguments, kind):

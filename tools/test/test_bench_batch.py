@@ -54,6 +54,7 @@ def test_bare_loop_holds_the_attitude_of_each_flight():
     assert subject.run().steps == 3 * 1250  # it raises if the attitude is not there at the end
 
 
+@pytest.mark.thorough  # XLA takes long for it
 def test_bare_flight_holds_the_attitude_of_each_flight_too():
     """With as many states as crazyflow's."""
     subject = bare_subject(bare_flight(5.0), 3)

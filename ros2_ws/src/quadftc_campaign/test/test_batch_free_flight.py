@@ -75,7 +75,8 @@ def test_a_flight_in_c_is_that_in_numpy_and_is_judged_by_its_metrics(changes):
     assert bool(np.any(flight.rotor_state == FAULTY)) == (WEAK in changes.get("faults", ()))
 
 
-@pytest.mark.parametrize("observer", ["none", pytest.param("isolating", marks=pytest.mark.thorough)])
+@pytest.mark.thorough  # the plant in JAX: quadftc_sim/test/test_laws.py
+@pytest.mark.parametrize("observer", ["none", "isolating"])
 def test_a_flight_in_jax_is_that_in_c(observer):
     flights = [batch_flight(free(observer=observer))]
     assert_same_outcome(*JaxEngine().fly(flights), *fly_all(flights))

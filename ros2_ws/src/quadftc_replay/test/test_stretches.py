@@ -86,7 +86,7 @@ def test_a_stretch_says_what_the_nodes_say_sample_by_sample(observer):
 
 
 def test_the_reference_says_the_same_to_rounding():
-    source, law = recording(), choose_observer(recording(), "supervised").law
+    source, law = recording(), choose_observer(recording(), "sliding_mode").law
     injections = [fault.injection for fault in faults_from([], FAULTS)]
     one, other = (diagnose(source, law, injections, SEED, engine) for engine in ("c", "numpy"))
     for a, b in zip(leaves(one.estimate), leaves(other.estimate), strict=True):
