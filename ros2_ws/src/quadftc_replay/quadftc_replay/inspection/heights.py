@@ -62,20 +62,19 @@ def receiver_findings(flight: Flight) -> tuple[list[Found], bool]:
 def velocity_findings(flight: Flight) -> Iterator[Found]:
     """Name receivers whose velocity jumps, from one sample to the next."""
     attitude, force = flight.log.attitude, next(iter(flight.log.accelerometers.values()), None)
-    if attitude is None or force is None or min(len(attitude), len(force)) < 2:
+    if attitude is None or force is None or len(attitude) < 2:
         return
-    felt = to_earth(attitude_at(attitude, force.time), np.nan_to_num(force.value))
-    acceleration = Signal(force.time, felt - [0.0, 0.0, STANDARD_GRAVITY])
+    whole = np.isfinite(force.value).all(axis=1)
+    time, value = force.time[whole], force.value[whole]
+    if len(time) < 2:
+        return
+    acceleration = to_earth(attitude_at(attitude, time), value) - [0.0, 0.0, STANDARD_GRAVITY]
     for name, velocity in flight.log.gps_velocities.items():
-        late = (Signal(force.time + delay, acceleration.value) for delay in DELAYS.tolist())
+        late = (Signal(time + delay, acceleration) for delay in DELAYS.tolist())
         residual = min((_less_integral(velocity, each) for each in late), key=_unrest)
         smallest = np.full(len(residual), GATE * SPEED)
         for step in find_jumps(residual, _watched(flight, residual), smallest)[0]:
-            changes = np.diff(residual.value[:, step.axis])
-            row = int(np.searchsorted(residual.time, step.onset)) - 1
-            near = changes[max(row - FEWEST, 0) : row + FEWEST + 1]
-            is_sharp = abs(changes[row] - np.nanmedian(near) - step.size) < SAME * abs(step.size)
-            if not is_sharp or step.sigma > SPEED:
+            if not _is_sharp(residual, step) or step.sigma > SPEED:
                 continue  # a wrong heading or force takes its time; force sampled too slowly says little
             element, way = _way(step.axis, step.size)
             said = f"its velocity jumps by {show(abs(step.size), 'm/s')} {way}, against the specific force"
@@ -134,6 +133,15 @@ def _less_integral(position: Signal, velocity: Signal) -> Signal:
         dark |= (position.time > velocity.time[row]) & (position.time < velocity.time[row + 1])
     integral[:, np.isnan(velocity.value).all(axis=0)] = np.nan
     return Signal(position.time, np.where(dark[:, None], np.nan, position.value - integral))
+
+
+def _is_sharp(residual: Signal, step: Step) -> bool:
+    """Whether a jump is the change from one sample to the next, beside those around it."""
+    known = np.isfinite(residual.value[:, step.axis])
+    changes = np.diff(residual.value[known, step.axis])
+    row = int(np.searchsorted(residual.time[known], step.onset)) - 1
+    usual = float(np.median(changes[max(row - FEWEST, 0) : row + FEWEST + 1]))
+    return abs(float(changes[row]) - usual - step.size) < SAME * abs(step.size)
 
 
 def _unrest(residual: Signal) -> float:

@@ -26,6 +26,7 @@ FEWEST, ENOUGH = 4, 10  # samples on each side; more are thinned out
 SPREAD = 1.5  # 1; times the usual length of a window, which lost samples may add to it
 CALM, CALM_SIGMA = 0.3, 0.385  # 1; quantile of |c_hat| that is calm, and what it is of a normal distribution
 LEVEL = 8.0  # standard deviations, as of steps
+TINY = 1e-9  # 1; of what one sample tells
 MOST = 20  # jumps of one element
 
 
@@ -52,6 +53,7 @@ def find_jumps(residual: Signal, watched: Mask, smallest: Floats) -> tuple[list[
     jumps, drifts = list[Step](), list[Step]()
     for axis in range(residual.value.shape[1]):
         rows = np.flatnonzero(np.isfinite(residual.value[:, axis]))
+        rows = rows[:: max(1, int(residual.rate * JUMP / ENOUGH))]
         time, least = residual.time[rows], smallest[rows]
         steps, rest = _begins(STEP, time, residual.value[rows, axis], watched[rows], least)
         ramps, _ = _begins(RAMP, time, rest, watched[rows], least)
@@ -72,20 +74,20 @@ def _begins(
     if len(time) < 4 * reach:
         return [], values
     centres = np.arange(reach, len(time) - reach + stride)
+    spans = time[centres + reach - stride] - time[centres - reach]
+    centres = centres[watched[centres] & (spans < SPREAD * 2.0 * reach * period)]
+    if not len(centres):
+        return [], values
     rows = centres[:, None] + stride * np.arange(-side, side)
     weights = _weights(shape, time[rows] - time[centres, None])
-    spans = time[rows[:, -1]] - time[rows[:, 0]]
-    whole = watched[centres] & (spans < SPREAD * 2.0 * reach * period)
-    if not whole.any():
-        return [], values
     of_a_jump = np.max(np.abs(np.cumsum(weights, axis=1)), axis=1)  # what a jump of 1 looks like at most
     least = smallest[centres] * of_a_jump
     found: list[Step] = []
     sigma = 0.0
     for _ in range(MOST):
         size = np.sum(weights * values[rows], axis=1)
-        sigma = sigma or max(float(np.quantile(np.abs(size[whole]), CALM)) / CALM_SIGMA, 1e-9)
-        score = np.where(whole, np.abs(size) / np.maximum(least, LEVEL * sigma), 0.0)
+        sigma = sigma or max(float(np.quantile(np.abs(size), CALM)) / CALM_SIGMA, 1e-9)
+        score = np.abs(size) / np.maximum(least, LEVEL * sigma)
         best = int(np.argmax(score))
         if score[best] < 1.0:
             break
@@ -97,6 +99,8 @@ def _begins(
 
 def _weights(shape: Shape, late: Floats) -> Floats:
     """What each sample adds to the least-squares estimate of the shape (m, k), at times since it (m, k)."""
+    late = late / shape.window
     design = np.stack([np.ones_like(late), late, shape.at(late)], axis=-1)
     across = np.swapaxes(design, 1, 2)
-    return np.asarray(np.linalg.solve(across @ design, across)[:, 2], np.float64)
+    normal = across @ design + TINY * np.eye(3)  # samples at next to one time tell nothing apart
+    return np.asarray(np.linalg.solve(normal, across)[:, 2], np.float64) / shape.window**shape.power
