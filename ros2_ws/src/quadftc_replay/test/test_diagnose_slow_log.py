@@ -11,12 +11,16 @@ import pytest
 
 from quadftc_model.rotations import to_earth, turn
 from quadftc_replay.flight_log import Event, FlightLog, Signal
+from quadftc_replay.inspection.attitude import Creep
+from quadftc_replay.inspection.flight import Interval
 from quadftc_replay.inspection.inspect import inspect
+from quadftc_replay.inspection.pairs import owner_by_other
 from quadftc_replay.inspection.verdict import Verdict
 
 PLACES = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0]])
 SIGNS = np.array([-1.0, -1.0, 1.0, 1.0])
 GAINS = np.stack([60.0 * PLACES[:, 1], -60.0 * PLACES[:, 0], 8.0 * SIGNS], axis=1)  # rad/s² per unit
+MIX = np.linalg.pinv(GAINS.T)
 HOVER, DT, ONSET, GRAVITY = 0.4, 0.005, 15.0, np.array([0.0, 0.0, 9.80665])
 
 
@@ -47,7 +51,7 @@ def fly(
         believed = rate + (late * gyro if gyro is not None and 0 in wrong else 0.0)
         tilt = 2.0 * estimate[:3] * np.sign(estimate[3])
         asked = -30.0 * (tilt - wanted) - 10.0 * believed
-        command = np.clip(HOVER + np.linalg.pinv(GAINS.T) @ asked, 0.0, 1.0)
+        command = np.clip(HOVER + MIX @ asked, 0.0, 1.0)
         command = command * float(now < stop)
         thrust += DT / 0.04 * (command - thrust)
         given = thrust.copy()
@@ -245,3 +249,25 @@ def test_voltage_that_sags_step_by_step_is_dated_to_its_first_step():
     (found,) = judge(dataclasses.replace(healthy(), battery=Signal(time, volts[:, None]))).findings
     assert (found.component, found.kind) == ("battery", "brownout")
     assert found.onset_s == pytest.approx(ONSET, abs=0.3)
+
+
+def test_accelerometer_that_says_an_impossible_path_is_named_without_satellites():
+    log = dataclasses.replace(fly(imus=1, seconds=60.0), gps_velocities={})
+    assert judge(log).findings == ()
+    force = log.accelerometers[""]
+    force.value[force.time >= 40.0, 2] += 2.0  # the estimated velocity stays right
+    (found,) = judge(log).findings
+    assert (found.component, found.element) == ("accelerometer", "z")
+    assert found.size == pytest.approx(2.0, abs=0.2)
+    assert found.onset_s == pytest.approx(40.0, abs=0.5)
+
+
+def test_second_gyro_tells_whether_gyro_or_attitude_creeps():
+    creep = Creep(0, Interval(10.0, 20.0), 0.1, 0.01, 2.0, None)
+    time = np.arange(0.0, 20.0, 0.04)
+    still = Signal(time, np.zeros((len(time), 3)))
+    wrong = Signal(time, np.where(time[:, None] > 10.0, [0.1, 0.0, 0.0], 0.0))
+    half = Signal(time, 0.5 * wrong.value)
+    owners = [owner_by_other(creep, {"": first, "1": still}) for first in (wrong, still, half)]
+    assert [each and each.component for each in owners] == ["gyro", "attitude", None]
+    assert owner_by_other(creep, {"": wrong}) is None

@@ -11,8 +11,16 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.gyro import BODY_AXES, change_at
-from quadftc_replay.inspection.rests import begins_between, rests_of
-from quadftc_replay.inspection.steps import LEVEL, Limits, Step, join_ends, step_sizes, steps_of
+from quadftc_replay.inspection.rests import rests_of
+from quadftc_replay.inspection.steps import (
+    LEVEL,
+    Limits,
+    Step,
+    begins_within,
+    join_ends,
+    step_sizes,
+    steps_of,
+)
 
 LIMITS = Limits(smallest=1.5, floor=0.1)  # m/s²
 PULSE = 0.1  # s; what goes back within it is a knock
@@ -84,7 +92,7 @@ def _rest_findings(flight: Flight, component: str, sensor: Signal) -> Iterator[F
         axis = int(np.argmax(np.abs(change)))
         element, size = BODY_AXES[axis], float(change[axis])
         begin, end = rests[first - 1].end, rests[first].start
-        onset = begins_between(flight, sensor, LIMITS, axis, size, (begin, end))
+        onset = begins_within(flight, sensor, LIMITS, axis, size, (begin, end))
         said.append(f"at rest until {begin:.2f} s it was right, from {end:.2f} s on it is not")
     finding = make_finding(
         *(component, element, "offset", onset),

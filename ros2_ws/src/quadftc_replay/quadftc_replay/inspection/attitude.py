@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.flight import Flight, Interval
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
@@ -25,11 +26,13 @@ JUMP = 2.0 * DEGREE  # rad; optical markers that are mistaken make 1.1 deg in he
 OWN_JUMP = 5.0 * DEGREE  # rad; of an estimate made of the gyro, which is corrected now and then
 UNKNOWN_JUMP = 3.0 * DEGREE  # rad; where nobody knows what the attitude is made of
 PULSE = 0.1  # s; what goes back within it is an outlier
-CREEP_WINDOWS = (0.5, 2.0)  # s; over which the rates are compared
-CREEP = (0.1, 0.05)  # rad/s; least difference of the rates over each window
-PER_RATE = (0.04, 0.02)  # 1; of the body rate: what scale and alignment leave
+CREEP_WINDOWS = (0.5, 2.0, 8.0)  # s; over which the rates are compared
+CREEP = (0.1, 0.05, 0.05)  # rad/s; least difference of the rates over each window
+PER_RATE = (0.04, 0.02, 0.01)  # 1; of the body rate: what scale and alignment leave
 CREEP_LEVEL = 8.0  # times the scatter of the means
 GYRO_CREEP = 0.2  # rad/s; no attitude creeps that fast
+KNOWN = 0.5  # 1; share of a window that makes a mean
+HEALTHY = (0.1, 0.5, 0.9)  # 1; shares of the log, one of which is healthy
 AROUND = 1.0  # s
 BETWEEN = 1.0  # s; stretches closer than that have one cause
 SAME = 0.5  # 1
@@ -55,6 +58,13 @@ class Creep(NamedTuple):
     sigma: float
     score: float  # 1: just enough to be one
     end: float | None  # s; None: it lasts
+
+
+class Owner(NamedTuple):
+    """Whose a creep is."""
+
+    component: str  # gyro or attitude
+    witness: str  # who says so
 
 
 def find_jumps(agreement: Agreement, watched: Mask, smallest: float) -> list[Jump]:
@@ -84,33 +94,43 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
     near = np.zeros(len(time), np.bool_)
     for moment in moments:
         near |= np.abs(time - moment) < 2.5 * usual
-    rates = np.where(near[:, None], 0.0, (agreement.rest / agreement.dt[:, None]))
+    known = ~near & np.any(agreement.rest != 0.0, axis=1)
+    rates = np.where(known[:, None], agreement.rest / agreement.dt[:, None], 0.0)
     turning = np.linalg.norm(agreement.turn, axis=1) / agreement.dt
     found: list[Creep] = []
     for window, least, share in zip(CREEP_WINDOWS, CREEP, PER_RATE, strict=True):
         count = max(3, round(window / usual))
         if len(time) < 5 * count:
             continue
-        means = ndimage.uniform_filter1d(rates, count, axis=0)
+        share_known = ndimage.uniform_filter1d(known.astype(float), count)
+        there = np.flatnonzero(share_known > KNOWN)
+        if len(there) < 2:
+            continue
+        means = ndimage.uniform_filter1d(rates, count, axis=0)[there] / share_known[there, None]
+        means = Signal(time[there], means).at(time)  # straight over what is not known
         moving = ndimage.uniform_filter1d(np.nan_to_num(turning), count)
         for axis in range(3):
-            level = float(np.median(means[:, axis]))
+            level = min(np.quantile(means[:, axis], HEALTHY).tolist(), key=abs)
             mean = means[:, axis] - (level if abs(level) < least else 0.0)  # no healthy sensor is off by more
             mean /= 1.0 + agreement.scale[axis]
             changes = mean[count:] - mean[:-count]
             scatter = TO_SIGMA * float(np.median(np.abs(changes))) / np.sqrt(2.0) + 1e-9
             score = np.where(
-                watched, np.abs(mean) / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving), 0.0
+                watched & (share_known > KNOWN),
+                np.abs(mean) / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving),
+                0.0,
             )
             score[: count // 2] = score[len(score) - count // 2 :] = 0.0  # less than a window
             for run, best in stretches(mean, score, round(BETWEEN / usual)):
                 span = Interval(float(time[run.start]), float(time[run.stop - 1]))
                 lasts = run.stop > len(time) - round(BETWEEN / usual)
                 end = None if lasts else span.end
-                creep = Creep(axis, span, -float(np.median(mean[run])), scatter, best, end)
-                if not any(_touch(creep, other) for other in found):
-                    found.append(creep)
-    return sorted(found, key=lambda creep: creep.span.start)
+                found.append(Creep(axis, span, -float(np.median(mean[run])), scatter, best, end))
+    clearest = list[Creep]()
+    for creep in sorted(found, key=lambda creep: -creep.score):
+        if not any(_touch(creep, other) for other in clearest):
+            clearest.append(creep)
+    return sorted(clearest, key=lambda creep: creep.span.start)
 
 
 def stretches(mean: Floats, score: Floats, apart: int) -> Iterator[tuple[slice, float]]:
@@ -135,7 +155,7 @@ def attitude_findings(
     jumps: Sequence[Jump],
     creeps: Sequence[Creep],
     is_own: bool,
-    owner: Callable[[Creep], str | None] = lambda _: None,
+    owner: Callable[[Creep], Owner | None] = lambda _: None,
 ) -> Iterator[Found]:
     """Say of jumps, and of creeps that no finding on the gyro explains.
 
@@ -159,8 +179,10 @@ def attitude_findings(
         span = (jump.onset - AROUND, (jump.end or jump.onset) + AROUND)
         lines = {"attitude less integrated gyro": offset[:, jump.axis]}
         yield Found(finding, curve_around(f"attitude {ANGLES[jump.axis]}", "deg", time, lines, span))
-    for creep in creeps:
-        yield _creep_found(creep, agreement, is_own, owner(creep))
+    for creep, whose in ((each, owner(each)) for each in creeps):
+        corrects = is_own and creep.axis == 2 and whose is not None and whose.component == "attitude"
+        if not corrects:  # estimators correct their heading in flight, by compass or satellites
+            yield _creep_found(creep, agreement, is_own, whose)
 
 
 def watch(flight: Flight, agreement: Agreement) -> Mask:
@@ -182,8 +204,8 @@ def disagreements(
     return [jump for jump in jumps if not is_own or jump.axis != 2], creeps
 
 
-def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: str | None) -> Found:
-    is_gyro = owner == "gyro" or (owner is None and abs(creep.size) > GYRO_CREEP)
+def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: Owner | None) -> Found:
+    is_gyro = owner.component == "gyro" if owner else abs(creep.size) > GYRO_CREEP
     names = ("gyro", "xyz"[creep.axis]), ("attitude", ANGLES[creep.axis])
     (component, element), other = names if is_gyro else names[::-1]
     said = [
@@ -193,7 +215,7 @@ def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: str | 
     if owner is None:
         said += ["no attitude creeps that fast"] if is_gyro else ["either of the two may drift"]
     else:
-        said.append(f"gravity, felt by the accelerometer, says that it is the {owner}")
+        said.append(f"{owner.witness} says that it is the {owner.component}")
     if is_own:
         said.append("the attitude is computed from this gyro, so that an error of both does not show")
     finding = make_finding(

@@ -39,7 +39,10 @@ FAILS = (
     *("attack", "bad", "crash", "error", "fail", "fd_", "glitch", "inconsistent", "loss", "lost"),
     *("unhealthy", "variance"),
 )
-OUTSIDE = ("gcs", "pilot", "prearm", "radio", "rc ")
+OUTSIDE = (
+    *("adsb", "autotune", "fence", "flight mode", "flip", "gcs", "navigation", "pilot", "prearm"),
+    *("radio", "rc ", "terrain"),
+)
 # words for a component, by which an autopilot tells of it
 WORDS = {"gps": ("GPS",), "gyro": ("Gyro", "gyro"), "accelerometer": ("Accel", "accel")}
 
@@ -119,7 +122,7 @@ def _follows(finding: Finding, cause: Finding) -> bool:
 def _without_doubles(found: Sequence[Found]) -> list[Found]:
     """Of findings on one element at one time keep the first: readings tell more than comparisons."""
     kept: list[Found] = []
-    for each in found:
+    for each in sorted(found, key=lambda one: bool(one.finding.ambiguous_with)):
         if not any(_repeats(each.finding, other.finding) for other in kept):
             kept.append(each)
     return kept
@@ -127,7 +130,11 @@ def _without_doubles(found: Sequence[Found]) -> list[Found]:
 
 def _repeats(finding: Finding, known: Finding) -> bool:
     """Whether a finding says again what another says, of the same element or of a sensor known to be dead."""
-    if finding.component != known.component or not _overlap(finding, known):
+    if not _overlap(finding, known):
+        return False
+    if f"{known.component}/{known.element}" in finding.ambiguous_with:
+        return True
+    if finding.component != known.component:
         return False
     if known.kind in ("stuck", "saturation", "absent", "noise") and finding.kind in (
         "offset",

@@ -13,12 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_replay.flight_log import MAIN, Signal
-from quadftc_replay.inspection.agreement import Agreement, parts_by
+from quadftc_replay.inspection.agreement import SCALE, Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.rests import begins_between, rests_of
-from quadftc_replay.inspection.steps import LEVEL, TOGETHER, Limits, Step, join_ends, step_sizes, steps_of
+from quadftc_replay.inspection.rests import rests_of
+from quadftc_replay.inspection.steps import (
+    LEVEL,
+    TOGETHER,
+    Limits,
+    Step,
+    begins_within,
+    join_ends,
+    step_sizes,
+    steps_of,
+)
 
 Floats = NDArray[np.float64]
 
@@ -102,11 +111,14 @@ def _from_borders(creep: Creep, steps: Sequence[Step]) -> Step | None:
     best = max(filter(None, borders), key=lambda step: step.score, default=None)
     if best is None:
         return None
+    # the rates' difference is as uncertain as the scale that was taken out of it
+    weights = np.array([best.sigma, SCALE * creep.size]) ** -2.0
+    sizes = np.array([best.size if best is begin else -best.size, creep.size])
     return Step(
         axis=creep.axis,
         onset=begin.onset if begin else creep.span.start,
         end=end.onset if end else creep.end,
-        size=creep.size,
+        size=float(weights @ sizes / weights.sum()),
         sigma=best.sigma,
         score=LEVEL * max(creep.score, best.score / LEVEL),
     )
@@ -215,7 +227,7 @@ def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]
         said = [f"it reads {size:+.3g} rad/s while the vehicle stands still"]
         if first > 0:  # it was right before
             between = rests[first - 1].end, rests[first].start
-            onset = begins_between(flight, sensor, LIMITS, axis, size, between)
+            onset = begins_within(flight, sensor, LIMITS, axis, size, between)
             said.append(f"until {between[0]:.2f} s it was right, from {between[1]:.2f} s on it is not")
         finding = make_finding(
             *(component_name("gyro", name), element, "offset", onset),

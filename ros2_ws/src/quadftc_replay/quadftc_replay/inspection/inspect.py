@@ -20,6 +20,8 @@ from quadftc_replay.inspection.gyro import BODY_AXES, Witness, component_name, g
 from quadftc_replay.inspection.gyro import LIMITS as RATE_LIMITS
 from quadftc_replay.inspection.navigation import navigation_findings
 from quadftc_replay.inspection.own_attitude import OwnEstimate, estimate, offset_finding, owner_of
+from quadftc_replay.inspection.pairs import owner_by_other
+from quadftc_replay.inspection.path import WINDOW
 from quadftc_replay.inspection.readings import absent_findings, noise_findings, reading_findings
 from quadftc_replay.inspection.rotors import Rotors, judge_rotors
 from quadftc_replay.inspection.steps import SLOWEST
@@ -138,7 +140,8 @@ def _sensors(
     log, known = flight.log, [each.finding for each in judgement.found]
     pairs = [*pair_findings(flight, "gyro", gyros, known)]
     pairs += pair_findings(flight, "accelerometer", log.accelerometers, known)
-    paths, has_path = path_findings(flight)
+    paths, path = path_findings(flight)
+    by_satellites = path is not None and path.window == WINDOW
     begun = min((each.finding.onset_s for each in pairs), default=float("inf"))
     judgement.found += pairs + [each for each in paths if each.finding.onset_s < begun - PATH_SEES]
     is_own = log.attitude_from_gyro is not False
@@ -153,7 +156,7 @@ def _sensors(
         component = component_name("gyro", name)
         if len(sensor) < FEWEST:
             judgement.cannot(component, f"{len(sensor)} samples are too few")
-        elif len(gyros) > 1 or has_path or not is_own or sensor.rate >= SLOWEST:
+        elif len(gyros) > 1 or by_satellites or not is_own or sensor.rate >= SLOWEST:
             judgement.judged.append(component)
         else:
             judgement.cannot(
@@ -165,13 +168,14 @@ def _sensors(
         judgement.judged.append("attitude")
         main = gravity.get(next(iter(gyros)))
         judgement.found += attitude_findings(
-            agreement, jumps, left, is_own, lambda creep: owner_of(creep, main)
+            *(agreement, jumps, left, is_own),
+            lambda creep: owner_by_other(creep, gyros) or owner_of(creep, main),
         )
     elif log.attitude is None:
         judgement.cannot("attitude", "no attitude is logged")
     else:
         judgement.cannot("attitude", "there is no gyro that goes along with it")
-    _accelerometers(flight, has_path, judgement)
+    _accelerometers(flight, path is not None, judgement)
     judgement.found += _creeping(flight, gravity, agreement, judgement.found)
 
 

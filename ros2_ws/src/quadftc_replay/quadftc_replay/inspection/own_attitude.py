@@ -18,7 +18,7 @@ from vqf import VQF
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
-from quadftc_replay.inspection.attitude import ANGLES, Creep
+from quadftc_replay.inspection.attitude import ANGLES, Creep, Owner
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.identification import bin_means
@@ -117,7 +117,7 @@ def _is_seen(agreement: Agreement, axis: int, size: float, moment: float) -> boo
     return bool(-np.sign(size) * rate > SEEN * abs(size))
 
 
-def owner_of(creep: Creep, own: OwnEstimate | None) -> str | None:
+def owner_of(creep: Creep, own: OwnEstimate | None) -> Owner | None:
     """Say whose creep it is by gravity, gyro or attitude; None: it cannot tell."""
     if own is None or ANGLES[creep.axis] == "yaw" or creep.span.end - creep.span.start < LONG:
         return None
@@ -133,6 +133,6 @@ def owner_of(creep: Creep, own: OwnEstimate | None) -> str | None:
     if abs(response) < SEEN * abs(creep.size):
         return None
     share = float(offset[after] - offset[before]) / response
-    if share > GYRO:
-        return "gyro"
-    return "attitude" if abs(share) < ATTITUDE else None
+    if ATTITUDE <= abs(share) <= GYRO or share < -GYRO:
+        return None
+    return Owner("gyro" if share > GYRO else "attitude", "gravity, felt by the accelerometer,")

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_replay.flight_log import Signal
-from quadftc_replay.inspection.attitude import stretches
+from quadftc_replay.inspection.attitude import Creep, Owner, stretches
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.whitening import GAP, TO_SIGMA, Floats, Mask
 
@@ -138,3 +138,15 @@ def jumps_more(a: Signal, b: Signal, parting: Parting) -> float:
         return abs(float(signal.value[min(row, len(signal) - 1), parting.axis] - before[-1] - trend))
 
     return float(np.clip((jump(a) - jump(b)) / abs(parting.size), -1.0, 1.0))
+
+
+def owner_by_other(creep: Creep, gyros: Mapping[str, Signal]) -> Owner | None:
+    """Say whose creep it is by another gyro than the first: gyro or attitude; None: it cannot tell."""
+    main, *others = gyros.values()
+    for other in others:
+        difference = differ(main, other)[2]
+        rows = slice(*np.searchsorted(difference.time, (creep.span.start, creep.span.end)))
+        share = float(np.mean(difference.value[rows, creep.axis])) / creep.size
+        if abs(share - 1.0) < CLEAR or abs(share) < CLEAR:
+            return Owner("gyro" if share > 0.5 else "attitude", "another gyro")
+    return None

@@ -1,4 +1,4 @@
-"""The path that attitude and accelerometer say against the velocity that a satellite receiver measures.
+"""The path that attitude and accelerometer say against the velocity that is known.
 
     r(t) = R' (1/T) (integral of (R f - g) dt - delta v),    over a window T around t, in body axes
 
@@ -6,6 +6,9 @@ R is the logged attitude, f the specific force. r is next to zero, whatever vehi
 of the accelerometer shows as r = b. An attitude that follows a gyro with an offset b of its rate
 tilts away, so that r grows as g b t. A velocity that jumps shows for one window. The receiver's delay is the
 one that leaves least.
+
+Without satellites the window is longer: an estimated velocity finds back within it, and without one nothing
+here changes its velocity by more than `GAIN` meanwhile.
 """
 
 from __future__ import annotations
@@ -17,11 +20,12 @@ import numpy as np
 
 from quadftc_model.rotations import to_body, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_replay.flight_log import Signal
+from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, near_any
 from quadftc_replay.inspection.whitening import Floats, runs_of
 
-WINDOW = 1.0  # s; T
+WINDOW, LONG_WINDOW = 1.0, 10.0  # s; T, with and without satellites
+GAIN = 15.0  # m/s
 STEP = 0.1  # s; between two windows
 DELAYS = np.arange(0.0, 0.45, 0.05)  # s; of satellite receivers
 LEAST = 20  # windows
@@ -30,7 +34,8 @@ LEVEL = 6.0  # standard deviations
 SMALLEST = 1.0  # m/s²; 6 deg of tilt, which estimators reach without a fault
 TURN = 0.7  # rad; between two attitudes, beyond which the way between them is not known
 USABLE = 0.5  # m/s²; sigma of a path that says anything
-AROUND = (2.0, 1.5)  # s; before and after, over which causes are compared: later, estimators have learned
+# windows before and after, over which causes are compared: later, estimators have learned
+AROUND = (2.0, 1.5)
 
 
 class Path(NamedTuple):
@@ -39,6 +44,8 @@ class Path(NamedTuple):
     time: Floats  # (n,) middle of the window [s]
     rest: Floats  # (n, 3) r [m/s²], body axes; NaN where it is not known
     sigma: float  # m/s²; of each component, in calm
+    window: float  # s
+    smallest: float  # m/s²; of what is a fault
 
 
 class Cause(NamedTuple):
@@ -53,7 +60,13 @@ class Cause(NamedTuple):
     second: str  # the next best cause
 
 
-def path_of(attitude: Signal | None, force: Signal | None, velocity: Signal | None) -> Path | None:
+def path_of(
+    attitude: Signal | None,
+    force: Signal | None,
+    velocity: Signal | None,
+    window: float = WINDOW,
+    smallest: float = SMALLEST,
+) -> Path | None:
     """Compare the paths; None where a signal is missing or they hardly overlap."""
     if (
         attitude is None
@@ -62,31 +75,68 @@ def path_of(attitude: Signal | None, force: Signal | None, velocity: Signal | No
         or min(map(len, (attitude, force, velocity))) < LEAST
     ):
         return None
-    begin = max(float(each.time[0]) for each in (attitude, force, velocity)) + 0.5 * WINDOW
-    end = min(float(each.time[-1]) for each in (attitude, force, velocity)) - 0.5 * WINDOW - DELAYS[-1]
+    begin = max(float(each.time[0]) for each in (attitude, force, velocity)) + 0.5 * window
+    end = min(float(each.time[-1]) for each in (attitude, force, velocity)) - 0.5 * window - DELAYS[-1]
     time = np.arange(begin, end, STEP)
     if len(time) < LEAST:
         return None
     q = attitude_at(attitude, force.time)
     total = _integral(force.time, to_earth(q, np.nan_to_num(force.value)) - [0.0, 0.0, STANDARD_GRAVITY])
-    gained = _change(time, Signal(force.time, total))
+    gained = _change(time, Signal(force.time, total), window)
     middle = attitude_at(attitude, time)
     rests = [
-        to_body(middle, (gained - _change(time + delay, velocity)) / WINDOW) for delay in DELAYS.tolist()
+        to_body(middle, (gained - _change(time + delay, velocity, window)) / window)
+        for delay in DELAYS.tolist()
     ]
     rest = min(rests, key=lambda each: float(np.median(np.linalg.norm(each, axis=1))))
-    known = _covered(time, velocity.time, DELAYS[-1]) & _covered(time, force.time, 0.0)
+    known = _covered(time, velocity.time, DELAYS[-1], window) & _covered(time, force.time, 0.0, window)
     cosine = np.abs(np.sum(attitude.value[1:] * attitude.value[:-1], axis=1))
     tumbles = attitude.time[1:][2.0 * np.arccos(np.clip(cosine, 0.0, 1.0)) > TURN]
-    known &= ~near_any(time, tumbles, 0.5 * WINDOW)
+    known &= ~near_any(time, tumbles, 0.5 * window)
     if known.sum() < LEAST:
         return None
-    apart = round(WINDOW / STEP)
+    apart = round(window / STEP)
     changes = np.linalg.norm(rest[apart:] - rest[:-apart], axis=1)[known[apart:] & known[:-apart]]
     if len(changes) < LEAST:
         return None
     usual = float(np.quantile(changes, CALM)) / np.sqrt(2.0 * 1.4)  # of two times, of three components
-    return Path(time, np.where(known[:, None], rest, np.nan), usual) if usual < USABLE else None
+    return (
+        Path(time, np.where(known[:, None], rest, np.nan), usual, window, smallest)
+        if usual < USABLE
+        else None
+    )
+
+
+def known_path(log: FlightLog, force: Signal | None) -> Path | None:
+    """Compare the path of an accelerometer with the best velocity that is known."""
+    velocity = _known_velocity(log, force)
+    if log.gps_velocity is not None:
+        return path_of(log.attitude, force, velocity)
+    if log.velocity is not None:
+        return path_of(log.attitude, force, velocity, LONG_WINDOW)
+    return path_of(log.attitude, force, velocity, 2.0 * LONG_WINDOW, 0.5 * GAIN / LONG_WINDOW)
+
+
+def _known_velocity(log: FlightLog, force: Signal | None) -> Signal | None:
+    """Velocity by satellites, else the estimated one, else none at all."""
+    still = None if force is None else Signal(force.time, np.zeros_like(force.value))
+    return log.gps_velocity or log.velocity or still
+
+
+def begin_of(log: FlightLog, force: Signal, cause: Cause, path: Path) -> tuple[float, float]:
+    """Date an offset of an accelerometer by a shorter window, with a standard deviation [s]."""
+    window = np.sqrt(path.window * WINDOW)
+    short = path_of(log.attitude, force, _known_velocity(log, force), window)
+    if short is None or path.window == WINDOW:
+        return cause.onset, 0.1 * path.window
+    rows = slice(*np.searchsorted(short.time, (cause.onset - path.window, cause.onset + path.window)))
+    time, along = short.time[rows], np.nan_to_num(short.rest[rows, "xyz".index(cause.element)])
+    onsets = np.arange(cause.onset - 0.5 * path.window, cause.onset + 0.5 * path.window, 0.5 * STEP)
+    left = [
+        float(np.sum((along - cause.size * np.clip((time - onset) / window + 0.5, 0.0, 1.0)) ** 2))
+        for onset in onsets.tolist()
+    ]
+    return float(onsets[int(np.argmin(left))]), 0.1 * window
 
 
 def attitude_at(attitude: Signal, time: Floats) -> Floats:
@@ -103,17 +153,17 @@ def _integral(time: Floats, values: Floats) -> Floats:
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(means, axis=0)])
 
 
-def _change(time: Floats, signal: Signal) -> Floats:
+def _change(time: Floats, signal: Signal, window: float) -> Floats:
     """Change of a signal over the window around each time (n, 3)."""
-    return signal.at(time + 0.5 * WINDOW) - signal.at(time - 0.5 * WINDOW)
+    return signal.at(time + 0.5 * window) - signal.at(time - 0.5 * window)
 
 
-def _covered(time: Floats, at: Floats, delay: float) -> np.ndarray:
+def _covered(time: Floats, at: Floats, delay: float, window: float) -> np.ndarray:
     """Whether no gap of a signal is in the window around each time (n,)."""
     gaps = np.flatnonzero(np.diff(at) > 0.5 * WINDOW)
     dark = np.zeros(len(time), np.bool_)
     for gap in gaps.tolist():
-        dark |= (time > at[gap] - 0.5 * WINDOW - delay) & (time < at[gap + 1] + 0.5 * WINDOW)
+        dark |= (time > at[gap] - 0.5 * window - delay) & (time < at[gap + 1] + 0.5 * window)
     return ~dark
 
 
@@ -121,10 +171,10 @@ def causes_of(flight: Flight, path: Path) -> Iterator[Cause]:
     """Name the first cause of a path that parts from the velocity in flight."""
     size = np.nan_to_num(np.linalg.norm(path.rest, axis=1))
     watched = flight.in_flight(path.time) & ~flight.near_impact(path.time)
-    apart = watched & (size > SMALLEST + LEVEL * path.sigma)
+    apart = watched & (size > path.smallest + LEVEL * path.sigma)
     for run in runs_of(apart):
-        if path.time[run.stop - 1] - path.time[run.start] >= 0.5 * WINDOW:
-            before = np.flatnonzero(~(size[: run.start] > SMALLEST))
+        if path.time[run.stop - 1] - path.time[run.start] >= 0.5 * path.window:
+            before = np.flatnonzero(~(size[: run.start] > path.smallest))
             start = int(before[-1]) + 1 if len(before) else 0  # it may have begun before take-off
             yield _best_cause(path, float(path.time[start]))
             return
@@ -132,11 +182,13 @@ def causes_of(flight: Flight, path: Path) -> Iterator[Cause]:
 
 def _best_cause(path: Path, moment: float) -> Cause:
     """Compare all causes around a moment [s], by what they leave."""
-    rows = slice(*np.searchsorted(path.time, (moment - AROUND[0], moment + AROUND[1])))
+    rows = slice(
+        *np.searchsorted(path.time, (moment - AROUND[0] * path.window, moment + AROUND[1] * path.window))
+    )
     time, rest = path.time[rows], np.nan_to_num(path.rest[rows])
     found: list[tuple[float, Cause]] = []
-    for onset in np.arange(moment - 1.5 * WINDOW, moment + 0.5 * WINDOW, 0.5 * STEP).tolist():
-        for name, shape, axis, scale in _shapes(time - onset):
+    for onset in np.arange(moment - 1.5 * path.window, moment + 0.5 * path.window, 0.5 * STEP).tolist():
+        for name, shape, axis, scale in _shapes(time - onset, path.window):
             component, element = name
             along = rest[:, axis]
             power = float(shape @ shape)
@@ -160,12 +212,12 @@ def _best_cause(path: Path, moment: float) -> Cause:
     return best._replace(second=f"{other.component}/{other.element}".rstrip("/"))
 
 
-def _shapes(late: Floats) -> Iterator[tuple[tuple[str, str], Floats, int, float]]:
+def _shapes(late: Floats, window: float) -> Iterator[tuple[tuple[str, str], Floats, int, float]]:
     """Each cause: its name, what it adds to r at times after its onset (n,), where, and its unit's scale."""
-    half = 0.5 * WINDOW
-    step = np.clip((late + half) / WINDOW, 0.0, 1.0)
-    ramp = np.where(late > half, late, 0.5 * np.clip(late + half, 0.0, None) ** 2 / WINDOW)
-    pulse = (np.abs(late) < half) / WINDOW
+    half = 0.5 * window
+    step = np.clip((late + half) / window, 0.0, 1.0)
+    ramp = np.where(late > half, late, 0.5 * np.clip(late + half, 0.0, None) ** 2 / window)
+    pulse = (np.abs(late) < half) / window
     for axis, element in enumerate("xyz"):
         yield ("accelerometer", element), step, axis, 1.0
         yield ("gps", ""), pulse, axis, 1.0

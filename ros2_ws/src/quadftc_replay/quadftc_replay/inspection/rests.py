@@ -8,11 +8,9 @@ import numpy as np
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.steps import Limits, step_sizes
 from quadftc_replay.inspection.whitening import Floats
 
 LASTS = 2.0  # s
-SAME = 0.5  # 1; share of an offset that a step at its begin has
 
 
 class Rest(NamedTuple):
@@ -37,17 +35,3 @@ def rests_of(flight: Flight, sensor: Signal, scatter: float) -> list[Rest]:
     return [
         Rest(float(times[k, 0]), float(times[k, -1]), values[k].mean(axis=0)) for k in np.flatnonzero(quiet)
     ]
-
-
-def begins_between(
-    flight: Flight, sensor: Signal, limits: Limits, axis: int, size: float, span: tuple[float, float]
-) -> float:
-    """Return when an offset of a sensor begins that is not there before a span and is there after it [s].
-
-    That is its clearest step of about this size; without one, the middle.
-    """
-    rows = slice(*np.searchsorted(sensor.time, span))
-    steps = step_sizes(flight, sensor, limits, axis)[rows] * np.sign(size)
-    if not len(steps) or float(steps.max()) < SAME * abs(size):
-        return 0.5 * (span[0] + span[1])
-    return float(sensor.time[rows][int(np.argmax(steps))])

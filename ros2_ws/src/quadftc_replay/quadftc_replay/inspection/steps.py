@@ -84,3 +84,25 @@ def step_sizes(flight: Flight, sensor: Signal, limits: Limits, axis: int) -> Flo
     """Return the step that best explains what follows each sample, on one axis (n,)."""
     flying = flight.in_flight(sensor.time)
     return find_steps(sensor.time, sensor.value[:, axis], flying, limits.floor).size
+
+
+def begins_within(
+    flight: Flight,
+    sensor: Signal,
+    limits: Limits,
+    axis: int,
+    size: float,
+    span: tuple[float, float],
+    sigma: float = np.inf,
+) -> float:
+    """Return when an offset of a known size begins that is not there before a span and is there after it [s].
+
+    The step counts that makes it most likely; ``sigma`` is the standard deviation [s] of its begin around the
+    middle, if more is known than the span. The middle counts where the sensor shows none.
+    """
+    middle = 0.5 * (span[0] + span[1])
+    rows = slice(*np.searchsorted(sensor.time, span))
+    steps = find_steps(sensor.time, sensor.value[:, axis], flight.in_flight(sensor.time), limits.floor)
+    time, seen = sensor.time[rows], np.minimum(steps.size[rows] * size, size**2)
+    evidence = (2.0 * seen - size**2) / steps.sigma[rows] ** 2 - ((time - middle) / sigma) ** 2
+    return float(time[int(np.argmax(evidence))]) if np.any(evidence > 0.0) else middle

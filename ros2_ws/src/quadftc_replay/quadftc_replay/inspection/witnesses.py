@@ -7,17 +7,31 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.accelerometer import LIMITS as FORCE_LIMITS
 from quadftc_replay.inspection.agreement import compare
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.gyro import BODY_AXES, component_name
+from quadftc_replay.inspection.gyro import LIMITS as RATE_LIMITS
 from quadftc_replay.inspection.pairs import CLEAR, LONG, Parting, differ, jumps_more, partings
-from quadftc_replay.inspection.path import LEVEL, SMALLEST, WINDOW, Cause, Path, causes_of, path_of
+from quadftc_replay.inspection.path import (
+    LEVEL,
+    SMALLEST,
+    WINDOW,
+    Cause,
+    Path,
+    begin_of,
+    causes_of,
+    known_path,
+    path_of,
+)
+from quadftc_replay.inspection.steps import begins_within
 from quadftc_replay.inspection.verdict import Finding
 from quadftc_replay.inspection.whitening import Floats
 
 UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
 AROUND = 2.0  # s; drawn before and after a finding
+ONSET = 0.1  # 1; of the window: standard deviation of the begin that the path tells
 NEAR = 0.5  # s; from a step that the path shows to the same in the readings
 
 
@@ -152,14 +166,13 @@ def _main_force(flight: Flight) -> Signal | None:
     return next(iter(flight.log.accelerometers.values()), None)
 
 
-def path_findings(flight: Flight) -> tuple[list[Found], bool]:
-    """Name what parts from the path that satellites measure; and whether there is such a path."""
-    path = path_of(flight.log.attitude, _main_force(flight), flight.log.gps_velocity)
+def path_findings(flight: Flight) -> tuple[list[Found], Path | None]:
+    """Name what parts from the path by the velocity that is known; and return that path."""
+    path = known_path(flight.log, _main_force(flight))
     if path is None:
-        return [], False
-    return [
-        _path_found(flight, path, cause) for cause in causes_of(flight, path) if cause.component != "gps"
-    ], True
+        return [], None
+    causes = [each for each in causes_of(flight, path) if each.component != "gps"]
+    return [_path_found(flight, path, cause) for cause in causes], path
 
 
 def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
@@ -167,11 +180,18 @@ def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
     is_gyro = cause.component == "gyro"
     sensor = flight.gyro[1] if is_gyro and flight.gyro is not None else _main_force(flight)
     axis = BODY_AXES.index(cause.element)
-    onset = cause.onset if sensor is None else _steepest(sensor, axis, cause.onset)
+    onset, near = cause.onset, ONSET * path.window
+    if sensor is not None:
+        limits = RATE_LIMITS if is_gyro else FORCE_LIMITS
+        if not is_gyro:
+            onset, near = begin_of(flight.log, sensor, cause, path)
+        span = (onset - 5.0 * near, onset + 5.0 * near)
+        onset = begins_within(flight, sensor, limits, axis, cause.size, span, near)
     what = "the attitude tilts away from" if is_gyro else "the specific force parts from"
     unit = UNITS[cause.component]
+    known = "satellites measure" if path.window == WINDOW else "is possible"
     said = (
-        f"{what} the path that satellites measure as with {cause.size:+.3g} {unit.replace('^2', '²')} here,"
+        f"{what} the path that {known} as with {cause.size:+.3g} {unit.replace('^2', '²')} here,"
         f" {cause.score:.0f} standard deviations",
     )
     finding = make_finding(
@@ -185,14 +205,5 @@ def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
     lines = {name: path.rest[:, k] for k, name in enumerate(BODY_AXES)}
     span = (onset - 2.0 * AROUND, onset + 2.0 * AROUND)
     return Found(
-        finding, curve_around("specific force less what satellites measure", "m/s²", path.time, lines, span)
+        finding, curve_around("specific force less that of the known path", "m/s²", path.time, lines, span)
     )
-
-
-def _steepest(sensor: Signal, axis: int, moment: float) -> float:
-    """Return when a sensor changes most from sample to sample, near a moment [s]."""
-    first, last = np.searchsorted(sensor.time, (moment - NEAR, moment + NEAR))
-    if last - first < 3:
-        return moment
-    change = np.abs(np.diff(sensor.value[first:last, axis]))
-    return float(sensor.time[first + 1 + int(np.argmax(np.nan_to_num(change)))])

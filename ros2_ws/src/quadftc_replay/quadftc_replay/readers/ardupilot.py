@@ -93,24 +93,19 @@ EVENTS = {
     28: "not landed",
     62: "EKF yaw reset",
 }
-SUBSYSTEMS = {
-    2: "radio",
-    3: "compass",
-    5: "radio failsafe",
-    6: "battery failsafe",
-    8: "GCS failsafe",
-    11: "GPS",
-    12: "crash check",
-    16: "EKF check",
-    17: "EKF failsafe",
-    18: "barometer",
-    19: "CPU",
-    24: "EKF primary",
-    25: "thrust loss check",
-    26: "sensors failsafe",
-    28: "pilot input",
-    29: "vibration failsafe",
-}
+SUBSYSTEMS = dict(
+    enumerate(
+        (
+            *("main loop", "radio", "compass", "optical flow", "radio failsafe", "battery failsafe"),
+            *("GPS failsafe", "GCS failsafe", "fence failsafe", "flight mode", "GPS", "crash check", "flip"),
+            *("autotune", "parachute", "EKF check", "EKF failsafe", "barometer", "CPU", "ADSB failsafe"),
+            *("terrain", "navigation", "terrain failsafe", "EKF primary", "thrust loss check"),
+            *("sensors failsafe", "leak failsafe", "pilot input", "vibration failsafe", "internal error"),
+            "dead reckoning failsafe",
+        ),
+        start=1,
+    )
+)
 
 
 def read(path: Path) -> FlightLog:
