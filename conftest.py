@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import signal
 import tempfile
@@ -45,6 +46,7 @@ SERIAL_FIXTURES = {"bench"}
 # Tests that take seconds each. `scripts/test --quick` and `colcon test` leave them out.
 SLOW_FILES = {
     "test_any_attitude.py",
+    "test_ardupilot.py",
     "test_augmented_kalman.py",
     "test_bad_messages.py",
     "test_bag_repair.py",
@@ -53,6 +55,7 @@ SLOW_FILES = {
     "test_batch_engine.py",
     "test_batch_free_flight.py",
     "test_bench_batch.py",
+    "test_c_equals_numpy.py",
     "test_campaign.py",
     "test_check.py",
     "test_check_command.py",
@@ -61,26 +64,43 @@ SLOW_FILES = {
     "test_closed_loop.py",
     "test_coasting.py",
     "test_diagnose_log.py",
+    "test_diagnose_slow_log.py",
     "test_endurance.py",
     "test_examples.py",
     "test_executables.py",
+    "test_exosystem.py",
+    "test_export_emulated.py",
+    "test_free_flight.py",
     "test_fuzz.py",
+    "test_golden_logs.py",
+    "test_golden_observers.py",
     "test_graph_lockstep.py",
+    "test_handover.py",
     "test_heading.py",
     "test_inertial_filter.py",
     "test_isolability.py",
     "test_isolating.py",
     "test_isolating_in_flight.py",
     "test_isolating_rotors.py",
+    "test_laws.py",
+    "test_live_page.py",
     "test_mujoco.py",
     "test_open_loop.py",
+    "test_plant.py",
+    "test_position_controller_contract.py",
+    "test_position_estimator.py",
+    "test_readers_packed.py",
+    "test_readers_ros1.py",
     "test_replay_command.py",
     "test_replay_directory.py",
     "test_report_command.py",
     "test_report_in_browser.py",
+    "test_rotor_diagnosis.py",
     "test_rotor_off.py",
+    "test_second_plant.py",
     "test_serve_command.py",
     "test_slopes.py",
+    "test_stretches.py",
     "test_study_crazyflie.py",
     "test_study_diagnosis.py",
     "test_study_robustness.py",
@@ -89,6 +109,7 @@ SLOW_FILES = {
     "test_theory_fault_observer.py",
     "test_theory_indi.py",
     "test_theory_limits.py",
+    "test_threshold.py",
     "test_tune.py",
 }
 
@@ -116,6 +137,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job; its children ignore it, too
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    gc.set_threshold(100_000, 20, 100)  # the usual ones cost a tenth of the time: JAX keeps many objects
     config.stash[DOMAIN_LOCK] = _own_domain()
     settings.load_profile("thorough" if config.getoption("--thorough") else "usual")
 
@@ -139,7 +161,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark tests that must not run beside others, and slow ones; leave out those that are thorough.
+    """Mark tests that must not run beside others, and slow ones, which come first; leave out the thorough.
 
     `colcon test`, which alone names a package in its report, leaves out the slow ones, too.
     """
@@ -153,6 +175,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--thorough"):
         left_out = ("thorough", "slow") if config.getoption("junitprefix") else ("thorough",)
         items[:] = [item for item in items if not any(map(item.get_closest_marker, left_out))]
+    items.sort(key=lambda item: item.path.name not in SLOW_FILES)  # so that no worker is idle at the end
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collection what was imported."""
+    gc.freeze()
 
 
 @pytest.fixture
