@@ -109,6 +109,7 @@ def test_it_learns_by_what_gravity_is_off(flown):
     assert flown["good gyro, accelerometer off"][1] > 1.5
 
 
+@pytest.mark.thorough  # one by one: test_fault_observer_contract.py and test_c_equals_numpy.py
 def test_batch_in_numpy_gives_the_numbers_of_a_flight_in_c():
     samples, _ = samples_of([FLIGHTS["moves"]])
     samples, state = rows_of(samples, slice(round(24.0 / DT))), None

@@ -130,6 +130,7 @@ def test_healthy_flight_names_nothing_and_without_rotors_nothing_is_said_of_them
     assert diagnose([each._replace(rotors=None) for each in flight(10)])[-1].rotors is None
 
 
+@pytest.mark.thorough  # one by one: test_fault_observer_contract.py and test_c_equals_numpy.py
 @np.errstate(all="ignore")  # as the runner of a law
 def test_batch_in_numpy_gives_the_numbers_of_a_flight_in_c(flown):
     law, state = Isolating(vehicle=VEHICLE), None

@@ -243,7 +243,7 @@ def numbers_in(part, path=""):
 
 
 NUMPY_FLOWN = [
-    ("mems_catalogue", "supervised", 6.0),
+    ("paper_varying_disturbance", "proposed", 6.0),
     *(
         pytest.param(name, scheme, None, marks=pytest.mark.thorough)
         for name, scheme in [*((name, "proposed") for name in PAPER), *((n, "supervised") for n in MEMS)]
