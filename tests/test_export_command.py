@@ -22,6 +22,7 @@ from quadftc_model.arrays import rows_of
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.stepper import NumpyRunner
 from quadftc_replay.plan import read_recording
+from quadftc_replay.readers import read_log
 
 COUNT, PERIOD_NS, GAP_NS, FAULTY, GAP = 60, 4_000_000, 2_000_000_000, 30, 50
 STRICT = ("-std=c99", *FLAGS, "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werror")
@@ -127,3 +128,19 @@ def test_bad_input_is_one_line_and_exit_2(bag, tmp_path, arguments, words):
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_recording_becomes_an_autopilots_log(autopilot, bag, tmp_path):
+    out = tmp_path / "log"
+    done = export(bag, "--log", autopilot, "--vehicle", "x500", "--out", out)
+    assert done.returncode == 0, done.stderr
+    log = read_log(out)
+    assert len(log.gyros[""]) > 0
+    assert log.rotor_yaw_signs.tolist() == [-1.0, -1.0, 1.0, 1.0]
+
+
+def test_a_log_takes_no_options_of_a_law(bag, tmp_path):
+    done = export(bag, "--log", "px4", "--float", "--out", tmp_path / "log")
+    assert done.returncode == 2
+    assert "--log takes no --float" in done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -17,12 +18,20 @@ def complete_law(incomplete: str) -> list[str]:
     return [name for kind in KINDS for name in kind.registry.names() if name.startswith(incomplete)]
 
 
+class Autopilot(str, Enum):
+    """Whose log is written."""
+
+    ARDUPILOT = "ardupilot"
+    PX4 = "px4"
+
+
 def export(
     law: Annotated[
         str,
         Argument(
-            metavar="[LAW]",
-            help="A fault observer, a disturbance observer or a controller, see quadftc list.",
+            metavar="[LAW|BAG]",
+            help="A fault observer, a disturbance observer or a controller, see quadftc list; with --log any"
+            " flight log.",
             autocompletion=complete_law,
         ),
     ] = "",
@@ -39,20 +48,30 @@ def export(
         Option(metavar="BAG", help="Write a recording as a file of samples (CSV) for the law instead."),
     ] = None,
     topic: Annotated[str, Option(help="Topic of the IMU of the recording, see quadftc replay.")] = "",
-    out: Annotated[Path | None, Option(help="Directory of the C; file of the samples.")] = None,
+    log: Annotated[
+        Autopilot | None,
+        Option(help="Write BAG as this autopilot logs a flight by default instead: .BIN or ULog."),
+    ] = None,
+    out: Annotated[Path | None, Option(help="Directory of the C; file of the samples or of the log.")] = None,
     force: Annotated[bool, Option("--force", help="Write over what is there.")] = False,
 ) -> int:
-    """Write a law as C for the vehicle itself; or a recording as samples for it.
+    """Write a law as C for the vehicle itself; or a recording as samples for it, or as an autopilot's log.
 
     The C needs libm alone. Beside it are its numbers, an example that reads samples, and how to build it.
     """
     if out is None:
         raise ValueError("export: --out: where to")
-    if out.exists() and not force and (samples is not None or not out.is_dir() or any(out.iterdir())):
+    is_file = samples is not None or log is not None
+    if out.exists() and not force and (is_file or not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"{out}: exists; choose another place, or --force")
+    if samples is not None and log is not None:
+        raise ValueError("export: expected either --samples or --log")
+    if is_file and (single or flies or set_ or (vehicle and log is None)):
+        name = "--log takes no" if log else "--samples takes no --vehicle,"
+        raise ValueError(f"export: {name} --float, --free-flight or --set")
+    if log is not None:
+        return _export_log(Path(law), vehicle, log, out)
     if samples is not None:
-        if vehicle or single or flies or set_:
-            raise ValueError("export: --samples takes no --vehicle, --float, --free-flight or --set")
         return _export_samples(samples, topic, law, out)
     if not law or not vehicle:
         raise ValueError("export: expected LAW and --vehicle, or --samples BAG")
@@ -67,6 +86,17 @@ def export(
     if not found:
         say("flash and stack: not measured, there is no arm-none-eabi-gcc")
     say(f"{law} in C: {out}; read {out / 'README.md'}")
+    return 0
+
+
+def _export_log(recording: Path, vehicle: str, autopilot: Autopilot, out: Path) -> int:
+    from quadftc_replay.inspection.diagnosis import read_with_layout
+    from quadftc_replay.writers import WRITERS
+
+    flown = read_with_layout(recording, vehicle)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    names = WRITERS[autopilot.value](flown, out)
+    say(f"{flown.end:.1f} s of {recording}: {out}, with {', '.join(names)}")
     return 0
 
 

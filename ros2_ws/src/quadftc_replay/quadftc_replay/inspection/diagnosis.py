@@ -38,19 +38,20 @@ def diagnose_log(
 ) -> Inspection:
     """Read and judge a log; a ValueError of one line says what is wrong with it or with the options."""
     faults: tuple[Fault, ...] = faults_from((), options.faults)
-    log = _with_layout(read_bounded(path, options.choice), options.vehicle)
+    log = read_with_layout(path, options.vehicle, options.choice)
     baseline = None
     if options.baseline is not None:
         choice = options.choice._replace(log=options.baseline_log)
-        baseline = _with_layout(read_bounded(options.baseline, choice), options.vehicle)
+        baseline = read_with_layout(options.baseline, options.vehicle, choice)
     progress(READING)
     if faults:
         log = overlay_faults(log, faults, options.seed)
     return inspect(log, baseline, lambda share: progress(READING + (1.0 - READING) * share))
 
 
-def _with_layout(log: FlightLog, vehicle: str) -> FlightLog:
-    """Add where the rotors are, by a vehicle file."""
+def read_with_layout(path: Path, vehicle: str, choice: LogChoice = ONLY_ONE) -> FlightLog:
+    """Read a log in a process of its own; add where the rotors are, by a vehicle file."""
+    log = read_bounded(path, choice)
     name = vehicle or log.vehicle
     if not name or (log.rotor_positions is not None and not vehicle):
         return log

@@ -6,6 +6,7 @@ Height by pressure is that of the standard atmosphere (ISO 2533).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -49,13 +50,19 @@ def _local(said: Fixes, fixed: np.ndarray) -> Floats:
     if not fixed.any():
         return np.full((len(fixed), 3), np.nan)
     first = int(np.argmax(fixed))
-    latitude = np.radians(said.latitude[first])
-    flattened = 1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
-    east = SEMI_MAJOR / np.sqrt(flattened) * np.cos(latitude)
-    north = SEMI_MAJOR * (1.0 - ECCENTRICITY_SQUARED) / flattened**1.5
     turned = (said.longitude - said.longitude[first] + 180.0) % 360.0 - 180.0
-    away = np.radians(np.stack([turned, said.latitude - said.latitude[first]], axis=-1))
-    return np.column_stack([away * [east, north], said.height - said.height[first]])
+    away = np.stack([turned, said.latitude - said.latitude[first]], axis=-1)
+    metres = metres_per_degree(float(said.latitude[first]))
+    return np.column_stack([away * metres, said.height - said.height[first]])
+
+
+def metres_per_degree(latitude: float) -> tuple[float, float]:
+    """Return how far a degree of longitude and one of latitude reach at a latitude [deg]."""
+    angle = math.radians(latitude)
+    flattened = 1.0 - ECCENTRICITY_SQUARED * math.sin(angle) ** 2
+    east = SEMI_MAJOR / math.sqrt(flattened) * math.cos(angle)
+    north = SEMI_MAJOR * (1.0 - ECCENTRICITY_SQUARED) / flattened**1.5
+    return math.radians(east), math.radians(north)
 
 
 def pressure_height(pressure: ArrayLike) -> Floats:
