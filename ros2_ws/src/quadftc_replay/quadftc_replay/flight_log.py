@@ -26,6 +26,16 @@ class Event(NamedTuple):
     text: str
 
 
+class Watched(NamedTuple):
+    """A signal that has a limit: the autopilot's own, or that of the log."""
+
+    name: str  # as a sentence begins: "EKF innovation of the height"
+    signal: Signal  # (n, 1)
+    limit: float
+    unit: str = ""
+    is_least: bool = False  # the limit is the least that is good, not the most
+
+
 class Signal(NamedTuple):
     """One signal; samples in the order of their times, which increase strictly."""
 
@@ -83,6 +93,7 @@ class FlightLog:
     vehicle: str = ""  # name of the vehicle file, where the log says it
     rotor_positions: Floats | None = None  # (rotors, 2) [m], or directions alone
     rotor_yaw_signs: Floats | None = None  # (rotors,) of the reaction torque about z
+    watched: tuple[Watched, ...] = ()
     events: tuple[Event, ...] = ()  # in the order of their times
     incomplete: str = ""  # what of the log is missing, as it was cut or damaged; empty: nothing
     notes: tuple[str, ...] = ()  # one line each: what was left out, what is damaged, what was assumed

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from quadftc_model.rotations import to_earth, turn
-from quadftc_replay.flight_log import Event, FlightLog, Signal
+from quadftc_replay.flight_log import Event, FlightLog, Signal, Watched
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.flight import Interval
 from quadftc_replay.inspection.inspect import inspect
@@ -271,3 +271,27 @@ def test_second_gyro_tells_whether_gyro_or_attitude_creeps():
     owners = [owner_by_other(creep, {"": first, "1": still}) for first in (wrong, still, half)]
     assert [each and each.component for each in owners] == ["gyro", "attitude", None]
     assert owner_by_other(creep, {"": wrong}) is None
+
+
+def test_what_goes_beyond_a_limit_is_told_in_the_timeline_alone():
+    log = healthy()
+    assert log.rotor_commands is not None
+    time = np.arange(0.0, 25.0, 0.2)
+    ratio = np.where((time > 12.0) & (time < 14.0), 1.4, 0.1)[:, None]
+    voltage = np.where(np.abs(time - 20.0) < 0.05, 4.1, 5.0)[:, None]
+    commands = log.rotor_commands.value.copy()
+    commands[log.rotor_commands.time > 24.0, 1] = 1.0
+    watched = (
+        Watched("EKF innovation of the height", Signal(time, ratio), 1.0),
+        Watched("board voltage", Signal(time, voltage), 4.3, "V", is_least=True),
+        Watched("load of the processor", Signal(time, 0.5 + 0.0 * ratio), 0.95),
+    )
+    outputs = Signal(log.rotor_commands.time, commands)
+    verdict = judge(dataclasses.replace(log, watched=watched, rotor_commands=outputs))
+    told = [each.text for each in verdict.timeline if each.source == "log"]
+    assert told[:2] == [
+        "EKF innovation of the height: 1.4, limit 1 for 1.6 s",
+        "board voltage: 4.1 V, least 4.3",
+    ]
+    assert told[2].startswith("rotor 2 has no more to give, command: 1, limit 0.95")
+    assert {each.component for each in verdict.findings} == {"rotor"}  # and what it asks for does not come

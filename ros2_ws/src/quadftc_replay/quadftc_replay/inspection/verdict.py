@@ -95,7 +95,7 @@ class Moment(_Strict):
     """Something that happened, and who says so."""
 
     time_s: float
-    source: str = Field(description="diagnose, or where the log says it: MSG, ERR, EV, a topic of PX4")
+    source: str = Field(description="diagnose; log: a signal beyond its limit; MSG, ERR, EV, a topic of PX4")
     text: str
 
 

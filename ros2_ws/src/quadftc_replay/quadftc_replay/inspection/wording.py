@@ -10,6 +10,7 @@ from quadftc_replay.inspection.ending import Ending
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found
 from quadftc_replay.inspection.identification import Identified
+from quadftc_replay.inspection.limits import limit_moments
 from quadftc_replay.inspection.verdict import (
     VERSION,
     Finding,
@@ -63,7 +64,7 @@ def make_verdict(
         ending=SaidEnding(
             kind=ending.kind, time_s=ending.time, impact_s=ending.impact, sentence=ending.sentence
         ),
-        timeline=tuple(sorted(_moments(log, findings, follows, ending), key=lambda each: each.time_s)),
+        timeline=tuple(sorted(_moments(flight, findings, follows, ending), key=lambda each: each.time_s)),
         not_judged=tuple(missing),
         judged=tuple(judged),
         model=None if model is None else _model(model),
@@ -137,7 +138,7 @@ def advice_for(log: FlightLog) -> str:
 
 
 def _moments(
-    log: FlightLog, findings: Sequence[Finding], follows: Sequence[Found], ending: Ending
+    flight: Flight, findings: Sequence[Finding], follows: Sequence[Found], ending: Ending
 ) -> Iterator[Moment]:
     for finding in findings:
         yield Moment(time_s=finding.onset_s, source="diagnose", text=_describe(finding))
@@ -145,7 +146,8 @@ def _moments(
         finding = each.finding
         yield Moment(time_s=finding.onset_s, source="diagnose", text=f"it follows: {_describe(finding)}")
     yield Moment(time_s=ending.time, source="diagnose", text=ending.sentence)
-    for event in log.events:
+    yield from limit_moments(flight)
+    for event in flight.log.events:
         yield Moment(time_s=event.time, source=event.source, text=event.text)
 
 

@@ -16,6 +16,7 @@
 | torque, thrust command | ``RATE``: ``ROut``, ``POut``, ``YOut``, ``AOut``, shares of the greatest |
 | battery | ``BAT``: ``Volt`` [V] |
 | vibration, clips | ``VIBE``: ``VibeX`` to ``VibeZ`` [m/s²], ``Clip`` of the first IMU |
+| limits | ``XKF4`` or ``NKF4``: ``SV``, ``SP``, ``SH``, ``SM``; ``POWR``: ``Vcc``; ``PM``; ``DSF`` |
 | flown position, acceleration | ``PSCN``, ``PSCE``, ``PSCD``; before 4.2 ``PSC``, ``PSCZ`` [m, m/s²] |
 | events | ``MSG``; ``ERR`` and ``EV`` in words |
 | layout of the rotors | ``PARM``: ``FRAME_CLASS``, ``FRAME_TYPE``, of a quadplane with ``Q_`` |
@@ -58,6 +59,10 @@ FORMAT, FORMAT_TEXT = "ArduPilot BIN", "ArduPilot log"
 
 ESTIMATES = ("XKF1", "NKF1", "EKF1")
 _GYRO, _FORCE = ([f"{begin}{axis}" for axis in "XYZ"] for begin in ("Gyr", "Acc"))
+# innovation over what the estimator accepts
+_RATIOS = {"SV": "velocity", "SP": "position", "SH": "height", "SM": "magnetic field"}
+BOARD_VOLTAGE = 4.3  # V; ArduPilot's arming check
+BUSY, LATE = 0.95, 0.1  # 1; of the processor's time; of its loops
 _FIELDS = {
     **dict.fromkeys(("IMU", "IMU2", "IMU3"), (*_GYRO, *_FORCE)),
     "GYR": ("SampleUS", *_GYRO),
@@ -74,6 +79,10 @@ _FIELDS = {
     "ESC": ("RPM",),
     "RCOU": tuple(f"C{k + 1}" for k in range(14)),
     "BAT": ("Volt",),
+    **dict.fromkeys(("XKF4", "NKF4"), (*_RATIOS, "PI")),
+    "PM": ("NLon", "NL", "Load"),
+    "POWR": ("Vcc",),
+    "DSF": ("Dp",),
     "VIBE": ("VibeX", "VibeY", "VibeZ", "Clip"),
     "PSC": ("PX", "PY", "AX", "AY"),
     "PSCZ": ("PZ",),
@@ -182,6 +191,30 @@ def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
         if "Clip" in table:
             signals.add("clips", stamps_of(table), table["Clip"], "VIBE")
     _add_flown(signals, messages)
+    _watch(signals, messages)
+
+
+def _watch(signals: Signals, messages: Mapping[str, Table]) -> None:
+    """Add what has a limit: innovations of the estimator, board voltage, processor, the log itself."""
+    ratios = (instances_of(messages.get(name), *_RATIOS) for name in ("XKF4", "NKF4"))
+    if cores := next(filter(None, ratios), None):
+        table = cores[min(cores)]
+        primary = int(np.median(table["PI"])) if "PI" in table else min(cores)
+        table = cores.get(primary, table)
+        for field, name in _RATIOS.items():
+            signals.watch(f"EKF innovation of the {name}", stamps_of(table), table[field], 1.0)
+    if table := first_of(messages.get("POWR"), "Vcc"):
+        used = table["Vcc"] > 0.0
+        voltage = table["Vcc"][used]
+        signals.watch("board voltage", stamps_of(table)[used], voltage, BOARD_VOLTAGE, "V", True)
+    if table := first_of(messages.get("PM"), "NLon", "NL"):
+        late = table["NLon"] / np.maximum(table["NL"], 1.0)
+        signals.watch("share of loops that are late", stamps_of(table), late, LATE)
+    if table := first_of(messages.get("PM"), "Load"):
+        signals.watch("load of the processor", stamps_of(table), 0.001 * table["Load"], BUSY)
+    if table := first_of(messages.get("DSF"), "Dp"):
+        lost = np.diff(table["Dp"], prepend=table["Dp"][:1])
+        signals.watch("messages that the logger lost", stamps_of(table), np.maximum(lost, 0.0), 0.0)
 
 
 def _add_flown(signals: Signals, messages: Mapping[str, Table]) -> None:

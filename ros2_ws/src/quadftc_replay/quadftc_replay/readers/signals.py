@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadftc_bags.bag import BagError
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
-from quadftc_replay.flight_log import Event, FlightLog, Floats, Signal
+from quadftc_replay.flight_log import Event, FlightLog, Floats, Signal, Watched
 
 Stamps = NDArray[np.int64]
 MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a damaged stamp
@@ -43,6 +43,7 @@ class Signals:
         self._named: dict[str, dict[str, Stamped]] = {kind: {} for kind in NAMED}
         self._single: dict[str, Stamped] = {}
         self._events: list[tuple[int, str, str]] = []
+        self._watched: list[tuple[Watched, Stamped]] = []
         self._lost = ""  # what most is left out of
 
     def say(self, stamp_ns: int, source: str, text: str) -> None:
@@ -51,6 +52,23 @@ class Signals:
         is_new = not any(each[1:] == (source, line) for each in self._events[-REPEATS:])
         if line and is_new and len(self._events) < MOST_EVENTS:
             self._events.append((int(stamp_ns), source, line))
+
+    def watch(
+        self,
+        name: str,
+        stamp_ns: Stamps,
+        value: ArrayLike,
+        limit: float,
+        unit: str = "",
+        is_least: bool = False,
+    ) -> None:
+        """Take a signal (n,) that has a limit."""
+        rows = np.asarray(value, np.float64).reshape(len(stamp_ns), 1)
+        kept, _ = good_stamps(stamp_ns)
+        if len(kept) > 1:
+            signal = Stamped(_take(stamp_ns, kept), _take(rows, kept))
+            untimed = Signal(np.zeros(0), np.zeros((0, 1)))
+            self._watched.append((Watched(name, untimed, limit, unit, is_least), signal))
 
     def add(self, field: str, stamp_ns: Stamps, value: ArrayLike, source: str, name: str = "") -> bool:
         """Take a signal for a field of `FlightLog`; whether two samples or more are left of it.
@@ -107,6 +125,7 @@ class Signals:
             start_ns=start_ns,
             incomplete=self._lost
             or next((each for each in self.notes if any(word in each for word in CUT)), ""),
+            watched=tuple(each._replace(signal=timed(signal)) for each, signal in self._watched),
             events=tuple(self._said(start_ns, max(int(each.stamp_ns[-1]) for _, _, each in everything))),
             notes=tuple(self.notes),
             **fields,

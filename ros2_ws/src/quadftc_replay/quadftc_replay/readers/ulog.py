@@ -14,6 +14,7 @@
 | events | messages, ``failure_detector_status``, ``estimator_selector_status``, resets of the attitude |
 | rotor speeds | ``esc_status.esc[].esc_rpm`` |
 | rotor commands | ``actuator_motors.control``, else ``actuator_outputs.output`` over its range |
+| limits | ``estimator_status.*_test_ratio``, ``cpuload.load``, ``system_power.voltage5v_v``, dropouts |
 | torque, thrust command | ``vehicle_torque_``, ``vehicle_thrust_setpoint``; else ``actuator_controls_0`` |
 | battery | ``battery_status.voltage_v`` |
 | vibration, clips | ``vehicle_imu_status.accel_vibration_metric``, ``accel_clipping`` of the first IMU |
@@ -60,10 +61,15 @@ ATTITUDE, POSITION = "vehicle_attitude", "vehicle_local_position"
 MOTORS, OUTPUTS, ESCS, BATTERY = "actuator_motors", "actuator_outputs", "esc_status", "battery_status"
 TORQUE, THRUST, CONTROLS = "vehicle_torque_setpoint", "vehicle_thrust_setpoint", "actuator_controls_0"
 SELECTION, IMU_STATUS = "sensor_selection", "vehicle_imu_status"
+ESTIMATOR, PROCESSOR, POWER = "estimator_status", "cpuload", "system_power"
+# innovation over what the estimator accepts
+RATIOS = {"vel": "velocity", "pos": "position", "hgt": "height", "mag": "magnetic field", "tas": "airspeed"}
+BOARD_VOLTAGE = 4.7  # V; PX4's arming check
+BUSY = 0.95  # 1; of the processor's time
 DETECTOR, SELECTOR = "failure_detector_status", "estimator_selector_status"
 TOPICS = (
     *(ATTITUDE, POSITION, MOTORS, OUTPUTS, ESCS, BATTERY, TORQUE, THRUST, CONTROLS, SELECTION),
-    IMU_STATUS,
+    *(IMU_STATUS, ESTIMATOR, PROCESSOR, POWER),
     *(*NAVIGATION, DETECTOR, SELECTOR),
     *dict.fromkeys([*GYROS, *FORCES, *INSTANCES["gyros"], *INSTANCES["accelerometers"]]),
 )
@@ -88,6 +94,7 @@ class Contents(NamedTuple):
     corrupt: bool
     notes: tuple[str, ...]  # one line each
     messages: tuple[tuple[int, str], ...] = ()  # stamp [ns], text
+    dropouts_s: float = 0.0  # that the logger lost [s]
 
     def get(self, topic: str, instance: int = 0) -> Dataset | None:
         """Samples of a topic."""
@@ -167,7 +174,8 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
     if stream.is_short:
         notes.append("cut short: the log ends within a message")
     messages = tuple((int(each.timestamp) * 1000, str(each.message)) for each in log.logged_messages)
-    return Contents(data, sound(log.initial_parameters), log.file_corruption, tuple(notes), messages)
+    lost = sum(float(each.duration) for each in log.dropouts) / 1000.0
+    return Contents(data, sound(log.initial_parameters), log.file_corruption, tuple(notes), messages, lost)
 
 
 def _add_main(signals: Signals, log: Contents, field: str, topics: Mapping[str, str]) -> None:
@@ -237,6 +245,21 @@ def _add_states(signals: Signals, log: Contents) -> None:
         signals.add("vibration", stamps_of(data), level, IMU_STATUS)
         if (clips := vectors(data, "accel_clipping")) is not None:
             signals.add("clips", stamps_of(data), clips.sum(axis=1), IMU_STATUS)
+    _watch(signals, log)
+
+
+def _watch(signals: Signals, log: Contents) -> None:
+    """Add what has a limit: innovations of the estimator, board voltage, processor, the log itself."""
+    if data := log.get(ESTIMATOR):
+        for field, name in RATIOS.items():
+            if (ratio := data.get(f"{field}_test_ratio")) is not None:
+                signals.watch(f"EKF innovation of the {name}", stamps_of(data), ratio, 1.0)
+    if (data := log.get(PROCESSOR)) and "load" in data:
+        signals.watch("load of the processor", stamps_of(data), data["load"], BUSY)
+    if (data := log.get(POWER)) and "voltage5v_v" in data and np.all(data["voltage5v_v"] > 0.0):
+        signals.watch("board voltage", stamps_of(data), data["voltage5v_v"], BOARD_VOLTAGE, "V", True)
+    if log.dropouts_s > 0.0:
+        signals.notes.append(f"the logger lost {log.dropouts_s:.2g} s in all")
 
 
 def _add_events(signals: Signals, log: Contents) -> None:
