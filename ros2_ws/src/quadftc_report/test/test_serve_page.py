@@ -25,6 +25,8 @@ from quadftc_report.serve.job import STAGES, stage_of
 from quadftc_report.serve.jobs import Job, Jobs
 from quadftc_report.serve.page import question_of
 
+TOKEN = "token"
+
 
 def telemetry_of_two() -> bytes:
     parts: list[bytes] = []
@@ -120,8 +122,9 @@ class Page:
 
     def __init__(self, jobs: Jobs) -> None:
         self.jobs, self.loop = jobs, asyncio.new_event_loop()
-        transport = httpx.ASGITransport(make_app(jobs))
-        self.client = httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1")
+        transport = httpx.ASGITransport(make_app(jobs, TOKEN))
+        who = {"Authorization": f"Bearer {TOKEN}"}
+        self.client = httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1", headers=who)
 
     def get(self, *arguments, **others) -> httpx.Response:
         return self.loop.run_until_complete(self.client.get(*arguments, **others))

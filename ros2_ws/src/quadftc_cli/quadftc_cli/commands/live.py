@@ -39,7 +39,7 @@ def live(
 ) -> None:
     """Fly in real time and show it in the browser: 3D, charts, states, faults to inject, setpoints.
 
-    Only this machine can reach the page. Ctrl-C ends flight and page.
+    Only you can use the page, by the address that is printed. Ctrl-C ends flight and page.
     """
     from quadftc_cli.live_page.flying import Wish, fly_live, show_running  # with what it needs, a second
 

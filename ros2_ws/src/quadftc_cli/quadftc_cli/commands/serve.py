@@ -19,7 +19,7 @@ def serve(
     max_size: Annotated[int, Option(min=1, help="Largest log that is taken [MiB].")] = 1024,
     browser: Annotated[bool, Option(help="Open the page in the browser.")] = True,
 ) -> None:
-    """Open a local page to drop flight logs on and read their verdicts; only this machine can reach it."""
+    """Open a local page to drop flight logs on and read their verdicts; only you can use it."""
     from quadftc_report.serve.app import serve as run
 
     run(folder, port, jobs, max_size * MEBIBYTE, opens=browser)

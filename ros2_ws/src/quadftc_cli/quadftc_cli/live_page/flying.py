@@ -25,7 +25,7 @@ from quadftc_flight.graph.plan import GraphError, GraphPlan
 from quadftc_flight.recommended import HOVER, LEVEL
 from quadftc_flight.runs import RunOptions
 from quadftc_flight.scenario import Scenario, find_scenario, load_scenario, node_parameters, parse_scenario
-from quadftc_report.serve.local import address_of, listen
+from quadftc_report.serve.local import listen, private_files
 from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
 
@@ -104,8 +104,10 @@ def begin_of(scenario: Scenario) -> tuple[float, float, float]:
 
 
 @contextmanager
-def serving(listener: socket.socket, flown: dict[str, Any], opens: bool) -> Iterator[socket.socket]:
-    """Serve the page in a process of its own, which opens a browser; yields the socket for its frames.
+def serving(
+    listener: socket.socket, flown: dict[str, Any], opens: bool
+) -> Iterator[tuple[socket.socket, str]]:
+    """Serve the page in a process of its own, which opens a browser; yields frames' socket and URL.
 
     A GraphError says if it does not start. It has a session of its own: Ctrl-C reaches this process alone.
     """
@@ -113,18 +115,18 @@ def serving(listener: socket.socket, flown: dict[str, Any], opens: bool) -> Iter
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, FEED)
     ends = (theirs.fileno(), listener.fileno())
     command = [sys.executable, "-m", "quadftc_cli.live_page.server", *map(str, ends), json.dumps(flown)]
-    command += [address_of(listener)] if opens else []
+    command += ["open"] if opens else []
     process = subprocess.Popen(command, pass_fds=ends, start_new_session=True, stdin=subprocess.DEVNULL)
     theirs.close()
     try:
         ours.settimeout(START)
         try:
-            ready = ours.recv(64)
+            address = ours.recv(256).decode()
         except TimeoutError:
-            ready = b""
-        if not ready:
+            address = ""
+        if not address:
             raise GraphError("the page did not start; see above")
-        yield ours
+        yield ours, address
     finally:
         ours.close()  # it ends by that
         try:
@@ -138,8 +140,13 @@ def show_running(namespace: str, port: int, opens: bool) -> int:
     """Show a graph that runs already, and return the exit code."""
     with LiveGraph(namespace) as graph:
         flown = page_of_running(graph)
-        with StopSignals() as stop, listen(port) as listener, serving(listener, flown, opens) as channel:
-            say(f"{flown['title']}: {flown['parts']}", f"page:   {address_of(listener)}", stderr=True)
+        with (
+            private_files(),
+            StopSignals() as stop,
+            listen(port) as listener,
+            serving(listener, flown, opens) as (channel, address),
+        ):
+            say(f"{flown['title']}: {flown['parts']}", f"page:   {address}", stderr=True)
             feed = Feed(channel, graph.namespace, flown["plant"])
             follow(graph, feed, flown["plant"], lambda: not stop.requested)
     return 0
@@ -151,10 +158,11 @@ def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int,
     scenario = scenario_of(wish)
     plan = plan_of(wish, scenario, options.scheduling)
     with (
+        private_files(),
         tempfile.TemporaryDirectory(prefix="quadftc_") as folder,
         StopSignals() as stop,
         listen(port) as listener,
-        serving(listener, page_of(plan, scenario), opens) as channel,
+        serving(listener, page_of(plan, scenario), opens) as (channel, address),
     ):
         if plan.bag is not None:
             file = Path(folder, "parameters.yaml")
@@ -162,7 +170,7 @@ def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int,
             plan = replace(plan, attachments=(file,))
         feed = Feed(channel, plan.namespace, plan.plant)
         with ComposedGraph(plan, tap=feed.tap) as graph:
-            say(*introduction(plan), f"page:   {address_of(listener)}", stderr=True)
+            say(*introduction(plan), f"page:   {address}", stderr=True)
 
             def goes_on(_samples: int) -> bool:
                 feed.send()  # also when the controller is silent

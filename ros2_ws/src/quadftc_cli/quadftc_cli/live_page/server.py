@@ -1,8 +1,9 @@
-"""The process of the page: ``python -m quadftc_cli.live_page.server CHANNEL LISTENER FLOWN [ADDRESS]``.
+"""The process of the page: ``python -m quadftc_cli.live_page.server CHANNEL LISTENER FLOWN [open]``.
 
 The first two are open file descriptors: the socket from which frames of the flight come, and the one that
-browsers connect to. The third is a JSON object, the fields of `page.Flown`. The page says "ready" on the
-socket when it serves, opens a browser at the address, if there is one, and ends when the socket is closed.
+browsers connect to. The third is a JSON object, the fields of `page.Flown`. When it serves, the page says its
+address with the token on the socket, and opens a browser if that is asked for. It ends when the socket is
+closed.
 """
 
 from __future__ import annotations
@@ -12,10 +13,9 @@ import contextlib
 import json
 import logging
 import os
+import secrets
 import socket
 import sys
-import threading
-import webbrowser
 from collections.abc import AsyncGenerator
 from pathlib import Path
 
@@ -27,20 +27,22 @@ from quadftc_cli.live_page.feed import receive
 from quadftc_cli.live_page.page import Flown, add_page
 from quadftc_cli.live_page.picture import Picture
 from quadftc_model.vehicle import load_vehicle
-from quadftc_report.serve.local import OwnPagesOnly
+from quadftc_report.serve.access import OwnerOnly
+from quadftc_report.serve.local import address_of, browser_at
 
-READY = b"ready"
+OUTPUTS = Path("results")
 NICE = 5  # of the page, and of a browser that it opens
 LAST_WORDS = 0.5  # s; for the page to say that the flight has ended
 
 
 def make_app(
-    channel: socket.socket, flown: Flown, server: list[uvicorn.Server], address: str = ""
+    channel: socket.socket, listener: socket.socket, flown: Flown, server: list[uvicorn.Server], opens: bool
 ) -> FastAPI:
     """Build the application on the socket from which the flight comes; at its end it stops the server."""
     vehicle = load_vehicle(flown.vehicle)
     picture = Picture(vehicle, "free_flight" if flown.plant == "free_flight" else "test_stand")
     commander = Commander(flown.namespace)
+    token = secrets.token_urlsafe()
 
     def take() -> None:
         frame = receive(channel)
@@ -60,15 +62,15 @@ def make_app(
     async def lifespan(_app: FastAPI) -> AsyncGenerator[None]:
         loop = asyncio.get_running_loop()
         loop.add_reader(channel, take)
-        channel.send(READY)
-        if address:
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # may not return
-        yield
+        address = address_of(listener, token)
+        channel.send(address.encode())
+        with browser_at(address, OUTPUTS) if opens else contextlib.nullcontext():
+            yield
         commander.close()
 
     app = FastAPI(title="quadftc live", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
     add_page(app, picture, commander, flown)
-    app.add_middleware(OwnPagesOnly)
+    app.add_middleware(OwnerOnly, token=token)
     return app
 
 
@@ -82,16 +84,17 @@ def give_way() -> None:
         Path("/proc/self/autogroup").write_text(str(NICE), encoding="ascii")
 
 
-def main(channel: int, listener: int, flown: str, address: str = "") -> None:
+def main(channel: int, listener: int, flown: str, *options: str) -> None:
     """Serve until the flight is over."""
     give_way()
     server: list[uvicorn.Server] = []
-    app = make_app(socket.socket(fileno=channel), Flown(**json.loads(flown)), server, address)
+    flight, browsers = socket.socket(fileno=channel), socket.socket(fileno=listener)
+    app = make_app(flight, browsers, Flown(**json.loads(flown)), server, "open" in options)
     config = uvicorn.Config(
         app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=1
     )
     server.append(uvicorn.Server(config))
-    server[0].run(sockets=[socket.socket(fileno=listener)])
+    server[0].run(sockets=[browsers])
 
 
 if __name__ == "__main__":

@@ -1,22 +1,25 @@
 # pyright: basic
-"""The web application: takes logs, hands out verdicts, and refuses whoever is not a page of its own.
+"""The web application: takes logs, hands out verdicts, and answers nobody but who started it.
 
-It is meant for this machine only (`quadftc_report.serve.local`). Reports may not load anything and may not
-talk to anybody.
+It is meant for one user (`quadftc_report.serve.access`). Reports may not load anything and may not talk to
+anybody.
 """
 
 from __future__ import annotations
 
 import contextlib
+import secrets
 from collections.abc import AsyncIterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from urllib.parse import unquote
 
 from fastapi import FastAPI, HTTPException, Request
 from fastapi.responses import FileResponse, JSONResponse
 
+from quadftc_report.serve.access import OwnerOnly
 from quadftc_report.serve.jobs import RESULTS, Jobs, TooLargeError
-from quadftc_report.serve.local import OwnPagesOnly, address_of, listen
+from quadftc_report.serve.local import address_of, browser_at, listen, private_files
 from quadftc_report.serve.page import add_page
 
 SEALED = {
@@ -28,12 +31,13 @@ SEALED = {
 }
 
 
-def make_app(jobs: Jobs) -> FastAPI:
-    """Build the application on the jobs of a folder."""
+def make_app(jobs: Jobs, token: str, browser: AbstractContextManager[None] | None = None) -> FastAPI:
+    """Build the application on the jobs of a folder, for who has the token; ``browser`` while it serves."""
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
-        yield
+        with browser or contextlib.nullcontext():
+            yield
         await jobs.close()
 
     app = FastAPI(title="quadftc serve", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
@@ -61,22 +65,20 @@ def make_app(jobs: Jobs) -> FastAPI:
         return FileResponse(path, media_type=RESULTS[name], headers=SEALED)
 
     add_page(app, jobs)
-    app.add_middleware(OwnPagesOnly)
+    app.add_middleware(OwnerOnly, token=token)
     return app
 
 
 def serve(folder: Path, port: int, at_a_time: int, largest: int, *, opens: bool = True) -> None:
-    """Serve on 127.0.0.1 until interrupted; a ValueError says that the port is taken."""
+    """Serve on 127.0.0.1 until interrupted; a ValueError says what is wrong with port or folder."""
     import uvicorn
 
-    listener = listen(port)
-    app = make_app(Jobs(folder, at_a_time, largest))
-    address = address_of(listener)
-    print(f"serving {folder} on {address}; end with Ctrl-C", flush=True)  # noqa: T201
-    if opens:
-        import webbrowser
-
-        webbrowser.open(address)
-    config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
-    with contextlib.suppress(KeyboardInterrupt):
-        uvicorn.Server(config).run(sockets=[listener])
+    token = secrets.token_urlsafe()
+    with private_files(), listen(port) as listener:
+        address = address_of(listener, token)
+        browser = browser_at(address, folder) if opens else None
+        app = make_app(Jobs(folder, at_a_time, largest), token, browser)
+        print(f"serving {folder} on {address}; end with Ctrl-C", flush=True)  # noqa: T201
+        config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
+        with contextlib.suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run(sockets=[listener])

@@ -1,16 +1,15 @@
-"""What makes a web page of this machine only: where it listens, and whom it answers.
-
-A request must name the host as 127.0.0.1 or localhost; else a page of another site could reach it by a name
-that it lets point here. It must come from a page of its own, if it says where from.
-"""
+"""What makes a web page the user's alone: where it listens, how a browser gets there, who reads its files."""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import socket
-from urllib.parse import urlsplit
-
-from starlette.responses import PlainTextResponse
-from starlette.types import ASGIApp, Receive, Scope, Send
+import tempfile
+import threading
+import webbrowser
+from collections.abc import Generator
+from pathlib import Path
 
 HOSTS = ("127.0.0.1", "localhost")
 
@@ -29,31 +28,43 @@ def listen(port: int) -> socket.socket:
     return listener
 
 
-def address_of(listener: socket.socket) -> str:
-    """Return the address of the page for a browser."""
-    return f"http://{HOSTS[0]}:{listener.getsockname()[1]}"
+def address_of(listener: socket.socket, token: str = "") -> str:
+    """Return the address of the page for a browser, with the token that lets it in."""
+    base = f"http://{HOSTS[0]}:{listener.getsockname()[1]}"
+    return f"{base}/?token={token}" if token else base
 
 
-class OwnPagesOnly:
-    """Refuses requests and websockets to another host name, or from another site's page."""
+@contextlib.contextmanager
+def browser_at(address: str, folder: Path) -> Generator[None]:
+    """Have a browser open an address that other users may not see in its command line.
 
-    def __init__(self, app: ASGIApp, hosts: tuple[str, ...] = HOSTS) -> None:
-        self.app, self.hosts = app, hosts
+    The browser opens a file of the user's alone, which leads on and is removed at the end. It lies in a
+    folder that browsers in a sandbox of their own (snap) can read, or else among temporary files.
+    """
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    place = folder if os.access(folder, os.W_OK) else None
+    with tempfile.NamedTemporaryFile("w", prefix="open-", suffix=".html", dir=place) as file:  # mode 0600
+        file.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n')
+        file.flush()
+        uri = Path(file.name).resolve().as_uri()
+        threading.Thread(target=webbrowser.open, args=(uri,), daemon=True).start()  # may not return
+        yield
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or answer 403."""
-        if scope["type"] in ("http", "websocket") and not self._is_own(scope):
-            if scope["type"] == "websocket":
-                await send({"type": "websocket.close", "code": 1008})
-                return
-            await PlainTextResponse("only pages of this server may ask", 403)(scope, receive, send)
-            return
-        await self.app(scope, receive, send)
 
-    def _is_own(self, scope: Scope) -> bool:
-        headers: dict[bytes, str] = {name: value.decode("latin-1") for name, value in scope["headers"]}
-        host = headers.get(b"host", "")
-        origin = headers.get(b"origin")
-        if urlsplit(f"//{host}").hostname not in self.hosts:
-            return False
-        return origin is None or urlsplit(origin).netloc == host
+@contextlib.contextmanager
+def private_files() -> Generator[None]:
+    """Make what this process and its children write meanwhile the user's alone: 0700 and 0600."""
+    before = os.umask(0o077)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder the user's alone; a ValueError says that it is another user's."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if folder.stat().st_uid != os.geteuid():
+        raise ValueError(f"{folder}: belongs to another user; expected a folder of your own")
+    folder.chmod(0o700)

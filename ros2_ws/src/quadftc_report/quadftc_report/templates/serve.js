@@ -79,7 +79,7 @@
   async function refresh() {
     try {
       const answer = await fetch("/list", { cache: "no-store", headers: { "If-None-Match": tag } });
-      problem.textContent = "";
+      problem.textContent = answer.status === 401 ? await answer.text() : ""; // another start has another token
       if (answer.status !== 200) return;
       tag = answer.headers.get("ETag");
       show(await answer.text());
