@@ -86,6 +86,7 @@ SLOW_FILES = {
     "test_live_page.py",
     "test_mujoco.py",
     "test_open_loop.py",
+    "test_page_access.py",
     "test_plant.py",
     "test_position_controller_contract.py",
     "test_position_estimator.py",

@@ -28,6 +28,7 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 from quadftc_replay.inspection.verdict import Verdict
 from quadftc_replay.overlay import faults_from
 from quadftc_report.serve.job import PICTURE, STAGES
+from quadftc_report.serve.local import make_private
 
 JOB, VERDICT, REPORT = "job.json", "verdict.json", "report.html"
 MAPPING = "mapping.toml"
@@ -91,7 +92,7 @@ class Jobs:
 
     def __init__(self, folder: Path, at_a_time: int = 2, largest: int = 1 << 30) -> None:
         self.folder = folder.resolve()
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_private(self.folder)
         self.largest = largest  # bytes of one upload
         self.version = 0  # grows whenever something changes
         self.baseline = ""  # id of the log that the next ones are judged against
@@ -185,7 +186,8 @@ class Jobs:
     def result(self, key: str, name: str) -> Path | None:
         """Return a file that a judgement wrote, if there is one of that name."""
         path = self.folder / key / name
-        return path if key in self._jobs and name in RESULTS and path.is_file() else None
+        is_result = key in self._jobs and name in RESULTS and path.is_file() and path == path.resolve()
+        return path if is_result else None
 
     async def close(self) -> None:
         """Stop what runs."""
@@ -272,7 +274,9 @@ async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[str]:
 
 
 def _read_job(path: Path) -> Job | None:
-    """Read a job of an earlier time; None if it is damaged."""
+    """Read a job of an earlier time; None if it is damaged, or leads out of its folder by a link."""
+    if any(each.is_symlink() for each in (path, *path.rglob("*"))):
+        return None
     try:
         job = Job.model_validate_json((path / JOB).read_bytes())
     except (OSError, ValidationError):
