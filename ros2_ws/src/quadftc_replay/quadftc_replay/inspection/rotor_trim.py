@@ -139,7 +139,8 @@ def find_weak(trim: Trim, healthy: Trim | None, layout: Floats | None) -> Weak |
     rotor = int(np.argmax(explained))
     loss = float(size[rotor] / (1.0 + size[rotor]))
     least = LEAST_ALONE if healthy is None else LEAST_LOSS
-    if explained[rotor] < SHARPER or not least < loss < MOST_LOSS:
+    left = float(weight @ seen**2) - float(explained[rotor])  # such as the yaw trim of a flight in circles
+    if explained[rotor] < max(SHARPER, left) or not least < loss < MOST_LOSS:
         return None
     likely = special.softmax(0.5 * np.concatenate([explained, [SHARPER / 2.0]]))
     others = [int(k) for k in np.flatnonzero(likely[:-1] > NEARLY * likely[rotor]) if k != rotor]
