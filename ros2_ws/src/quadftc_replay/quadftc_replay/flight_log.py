@@ -88,7 +88,7 @@ class FlightLog:
     torque_unit: str = "N m"  # or "1": shares of the greatest torque, of each axis
     thrust_command: Signal | None = None  # (n, 1), in any unit
     battery: Signal | None = None  # (n, 1) [V]
-    vibration: Signal | None = None  # (n, 1) [m/s²]: root mean square of one axis, before the filters
+    vibration: Signal | None = None  # (n, 3), or (n, 1) of all axes [m/s²]: root mean square, before filters
     clips: Signal | None = None  # (n, 1): samples of an accelerometer at its limit, since the start
     vehicle: str = ""  # name of the vehicle file, where the log says it
     rotor_positions: Floats | None = None  # (rotors, 2) [m], or directions alone

@@ -223,7 +223,7 @@ def test_failure_that_the_autopilot_alone_reports_leaves_the_outcome_open(text: 
 
 def with_vibration(level: float, before: float = 1.0) -> FlightLog:
     time = np.arange(0.0, 25.0, 0.2)
-    values = np.where(time < ONSET, before, level)[:, None]
+    values = np.where(time[:, None] < ONSET, before, [level, level, before])
     clips = Signal(time, np.cumsum(time > 20.0)[:, None].astype(float))
     return dataclasses.replace(healthy(), vibration=Signal(time, values), clips=clips)
 
@@ -231,8 +231,8 @@ def with_vibration(level: float, before: float = 1.0) -> FlightLog:
 def test_vibration_that_rises_in_flight_is_named_with_the_samples_at_the_limit():
     assert judge(with_vibration(3.0)).outcome == "healthy"
     (found,) = judge(with_vibration(17.0)).findings
-    assert (found.component, found.kind, found.end_s) == ("vibration", "rise", None)
-    assert (found.onset_s, found.size) == pytest.approx((ONSET, 16.0), abs=0.2)
+    assert (found.component, found.element, found.kind) == ("vibration", "x,y", "rise")
+    assert (found.onset_s, found.size) == pytest.approx((ONSET, 12.9), abs=0.2)
     assert "24 samples are at the limit" in found.evidence[1]
 
 

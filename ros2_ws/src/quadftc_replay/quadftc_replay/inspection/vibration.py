@@ -12,6 +12,7 @@ import numpy as np
 
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.gyro import BODY_AXES
 from quadftc_replay.inspection.whitening import runs_of
 
 FEWEST = 20  # samples in flight
@@ -28,7 +29,8 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
     level = flight.log.vibration
     if level is None:
         return
-    time, value = level.time, np.nan_to_num(level.value[:, 0])
+    time, axes = level.time, np.nan_to_num(level.value)
+    value = np.sqrt(np.mean(axes**2, axis=1))
     watched = flight.in_flight(time) & ~flight.near_impact(time)
     if watched.sum() < FEWEST:
         return
@@ -41,12 +43,14 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
         risen = float(np.median(value[run]))
         lower = np.flatnonzero(value[: run.start] < usual + 0.25 * (risen - usual))
         onset = float(time[lower[-1] + 1]) if len(lower) else start
+        grown = np.median(axes[run], axis=0) > RISEN * np.median(axes[watched & (value <= limit)], axis=0)
+        element = ",".join(BODY_AXES[k] for k in np.flatnonzero(grown)) if axes.shape[1] > 1 else ""
         said = [f"the accelerometers vibrate by {risen:.3g} m/s² on each axis, by {usual:.3g} m/s² before"]
         clips = flight.log.clips
         if clips is not None and (count := float(np.ptp(clips.at(np.array([start, end]))))) > 0:
             said.append(f"{count:.0f} samples are at the limit of the accelerometer meanwhile")
         finding = make_finding(
-            *("vibration", "", "rise", onset),
+            *("vibration", element, "rise", onset),
             end_s=None if flight.log.end - end < LASTS else end,
             size=risen - usual,
             sigma=float(np.std(value[run])),

@@ -186,8 +186,7 @@ def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
     if table := first_of(messages.get("BAT"), "Volt"):
         signals.add("battery", stamps_of(table), table["Volt"], "BAT")
     if table := first_of(messages.get("VIBE"), "VibeX", "VibeY", "VibeZ"):
-        each = columns(table, ("VibeX", "VibeY", "VibeZ"))
-        signals.add("vibration", stamps_of(table), np.sqrt(np.mean(each**2, axis=1)), "VIBE")
+        signals.add("vibration", stamps_of(table), columns(table, ("VibeX", "VibeY", "VibeZ")), "VIBE")
         if "Clip" in table:
             signals.add("clips", stamps_of(table), table["Clip"], "VIBE")
     _add_flown(signals, messages)
