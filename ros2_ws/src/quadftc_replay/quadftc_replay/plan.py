@@ -19,12 +19,10 @@ from quadftc_model.assembly import get, node_values
 from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_from_log import recording_from_log
-from quadftc_replay.imu_from_ulog import is_ulog, recording_from_ulog
 from quadftc_replay.imu_from_usdlog import recording_from_usdlog
 from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import faults_from, replay_events, replay_windows
-from quadftc_replay.readers import ONLY_ONE, ULOG, LogChoice
-from quadftc_replay.readers.bounded import call_bounded
+from quadftc_replay.readers import ONLY_ONE, LogChoice
 from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_metrics, replay_summary
 from quadftc_replay.usdlog import is_usdlog
 
@@ -167,8 +165,6 @@ def read_recording(
     """Read a recording of any kind; BagError says why it cannot be used. See `ReplayOptions`."""
     if not path.exists():
         raise BagError(f"{path}: no such bag")
-    if is_ulog(path):
-        return call_bounded(ULOG, recording_from_ulog, path, topic, skip_backwards)
     if is_usdlog(path):
         return recording_from_usdlog(path, topic, skip_backwards)
     if path.is_dir() or path.suffix in BAGS:
