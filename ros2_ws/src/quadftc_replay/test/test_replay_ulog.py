@@ -198,7 +198,7 @@ def test_log_without_a_topic_is_refused(tmp_path, left, topic, words):
 def test_other_file_is_refused(tmp_path, content):
     path = tmp_path / "log.ulg"
     path.write_bytes(content)
-    with pytest.raises(BagError, match="expected a log of one of the formats|empty") as caught:
+    with pytest.raises(BagError, match=r"expected a log of one of the formats|empty") as caught:
         plan_replay(path, ReplayOptions())
     assert "\n" not in str(caught.value)
 
