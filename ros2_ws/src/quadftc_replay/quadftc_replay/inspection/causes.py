@@ -40,8 +40,8 @@ FAILS = (
     *("unhealthy", "variance"),
 )
 OUTSIDE = (
-    *("adsb", "autotune", "fence", "flight mode", "flip", "gcs", "navigation", "pilot", "prearm"),
-    *("radio", "rc ", "terrain"),
+    *("adsb", "autotune", "data link", "fence", "flight mode", "flip", "gcs", "manual control"),
+    *("navigation", "pilot", "prearm", "radio", "rc ", "terrain"),
 )
 # words for a component, by which an autopilot tells of it
 WORDS = {"gps": ("GPS",), "gyro": ("Gyro", "gyro"), "accelerometer": ("Accel", "accel")}
