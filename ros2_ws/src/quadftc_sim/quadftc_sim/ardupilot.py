@@ -19,6 +19,7 @@ from quadftc_model.arrays import Array, Components, Quaternion, Vector
 from quadftc_model.rotations import quaternion_product
 from quadftc_model.samples import ImuSample, level_sample, sanitised
 from quadftc_model.vehicle import Vehicle
+from quadftc_sim.assembly import period_ns
 from quadftc_sim.injector import FaultInjector, Faulty
 from quadftc_sim.simulator import Emission, Simulator
 from quadftc_sim.vehicle_simulation import FreeMotion
@@ -109,8 +110,9 @@ class Shown(NamedTuple):
 class ArduPilotPhysics:
     """The physics behind SITL: answers its packets one by one, and counts what is wrong with them.
 
-    ``make_simulator(rate)`` makes a vehicle at the rate [Hz] of the first packet, ``make_injector()`` its
-    faults; both anew when SITL restarts, which shows in a frame count that goes back.
+    ``make_simulator(rate)`` makes a vehicle at a rate [Hz], ``make_injector()`` its faults; both anew when
+    SITL restarts, which shows in a frame count that goes back. Each packet's rate is that of its period: SITL
+    comes from 1200 Hz to its ``SIM_RATE_HZ`` in steps of 1 Hz.
     """
 
     def __init__(
@@ -145,6 +147,7 @@ class ArduPilotPhysics:
         else:
             if missing := packet.frame_count - self._frame - 1:
                 self.counts["frame_count skipped"] += missing
+            self._simulator.set_period(period_ns(packet.frame_rate))
             emission = self._simulator.advance(rotor_speeds(self._simulator.plant.vehicle, packet.pwm))
         self._frame = packet.frame_count
         self.shown = self._show(emission, self._simulator)

@@ -8,7 +8,9 @@ at its beginning. In real time it mostly comes long before the end, and the peri
 from __future__ import annotations
 
 import copy
+import dataclasses
 import sys
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -75,6 +77,15 @@ class Simulator:
         if self.plant.flies and condition is not None:
             self._rotors = condition
 
+    def set_period(self, period_ns: int) -> None:
+        """Fly on from the last sample at another period [ns]; ValueError if the sensors do not allow it."""
+        if period_ns == self.period_ns:
+            return
+        law = dataclasses.replace(self.law, period=seconds(period_ns))
+        if law.position is not None or not self._runner.configure(law):
+            raise ValueError(f"period = {period_ns} ns: the sensors are for {self.period_ns} ns")
+        self.law, self.period_ns = law, period_ns
+
     def advance(self, command: Components) -> Emission:
         """Fly one period under a command, held; return the emission at its end.
 
@@ -82,6 +93,7 @@ class Simulator:
         """
         before = self.time
         self._stamp_ns += self.period_ns
+        self._stamps.append(self._stamp_ns)
         inputs = self._inputs(command, before)
         self._state, output = self._runner.step(self._state, inputs, self.law.period)
         return self._emission(output)
@@ -89,6 +101,7 @@ class Simulator:
     def _begin(self, epoch_ns: int) -> None:
         """Go to the first sample."""
         self._epoch_ns = self._stamp_ns = epoch_ns
+        self._stamps = deque([epoch_ns], self.law.imu.delay + 1)  # of samples on their way, oldest first [ns]
         self._random, self._count, self._state = SensorDraws(self._seed), 0, None
         self._first_draws = self._random.first(self.law.due(0))
         self._rotors = healthy_rotors(self.plant.first_command) if self.plant.flies else None
@@ -106,7 +119,7 @@ class Simulator:
         return Emission(
             stamp_ns=stamp_ns,
             sample=imu.sample if imu.there else None,
-            sample_stamp_ns=stamp_ns - law.imu.delay * period_ns,
+            sample_stamp_ns=self._stamps[0],
             angles=output.angles,
             body_rate=output.body_rate,
             disturbance=output.disturbance,

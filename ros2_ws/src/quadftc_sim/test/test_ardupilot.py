@@ -173,6 +173,21 @@ def test_repeated_packet_gets_the_same_answer_and_time_stands_still():
     assert state_of(made.answer(packet(6, 1500)))["timestamp"] == pytest.approx(6 / RATE)
 
 
+def test_each_packet_says_how_long_its_period_is():
+    made, falling = physics(start=[0.0, 0.0, 50.0], **{"imu.delay": 2}), 1000
+    rates = [1200, *range(1200, 1100, -1), *[100] * 100]
+    states, stamps = [], []
+    for count, rate in enumerate(rates):
+        states.append(state_of(made.answer(packet(count, falling, rate=rate))))
+        stamps.append(made.shown.emission.sample_stamp_ns)
+    times = np.cumsum([0.0, *(1.0 / rate for rate in rates[1:])])
+    np.testing.assert_allclose([state["timestamp"] for state in states], times, atol=1e-6)
+    # the state goes on: climb is velocity over the period; the IMU, two samples late, has their stamps
+    climb, down = (np.array([state[name][2] for state in states]) for name in ("position", "velocity"))
+    np.testing.assert_allclose(np.diff(climb), 0.5 * (down[1:] + down[:-1]) * np.diff(times), atol=1e-4)
+    np.testing.assert_allclose(np.subtract(stamps[2:], stamps[2]) * 1e-9, times[:-2], atol=1e-6)
+
+
 def test_skipped_packets_are_counted():
     made = physics()
     flown(made, 2, 1500)
