@@ -20,8 +20,7 @@ and p - r >= q follows. Construction: N with N F = 0 (its rows span the left nul
 the left null space of C W, T1 = S1 C, T2 the left null space of W. Then C1 = I, and W1 = I where W has full
 column rank (else a basis of its columns stands for W).
 
-Invariant zeros come from SLICOT (AB08ND, after Emami-Naeini and Van Dooren, 1982), for systems that are not
-square, too. The structural conditions ask nothing of the gains: where one of the ranks fails, no gain helps.
+The structural conditions ask nothing of the gains: where one of the ranks fails, no gain helps.
 """
 
 from __future__ import annotations
@@ -31,17 +30,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import eig, null_space, orth, qr
+from scipy.linalg import null_space, orth, qr
 
 from quadftc_theory.conditions import Condition, Verdict, assess, pairs
-
-Matrix = NDArray[np.float64]
-Zeros = NDArray[np.complex128]  # (k,) [rad/s]
+from quadftc_theory.invariant_zeros import TOLERANCE, Matrix, Zeros, invariant_zeros
 
 ANGLES = ("roll", "pitch", "yaw")
 OUTPUTS = {"angles": ANGLES, "imu": (*ANGLES, "p", "q", "r")}
-TOLERANCE = 1e-9  # of singular values; matrices here are of order one
 ZERO = 1e-9  # element of (11), or real part of a zero [rad/s], that counts as zero
 
 
@@ -140,19 +135,6 @@ def unobservable_modes(A: Matrix, C: Matrix) -> Matrix:
     """Eigenvalues of A that C does not see: rank [A - s I; C] < n (Popov, Belevitch, Hautus)."""
     n = len(A)
     return np.array([s for s in np.linalg.eigvals(A) if rank(np.vstack([A - s * np.eye(n), C])) < n])
-
-
-def invariant_zeros(A: Matrix, F: Matrix, C: Matrix) -> tuple[Zeros, int]:
-    """Where the pencil [A - s I, F; C, 0] loses rank: inputs exp(s t) that leave no trace in the output.
-
-    Also return the normal rank of the transfer matrix C (s I - A)^-1 F.
-    """
-    from slycot import ab08nd  # a second to load
-
-    n, q, p = len(A), F.shape[1], len(C)
-    finite, normal_rank, _, _, _, _, _, _, pencil_a, pencil_b = ab08nd(n, q, p, A, F, C, np.zeros((p, q)))
-    values = eig(pencil_a[:finite, :finite], pencil_b[:finite, :finite], right=False)
-    return np.sort_complex(np.asarray(values, np.complex128)), int(normal_rank)
 
 
 def zero_directions(A: Matrix, F: Matrix, C: Matrix, s: complex) -> Matrix:
