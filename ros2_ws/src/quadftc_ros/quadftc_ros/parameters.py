@@ -7,6 +7,7 @@ import dataclasses
 import math
 import sys
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -72,14 +73,22 @@ class NodeParameters:
         # what file and command line say; rclpy has no public way to ask
         self._given: Mapping[str, RosParameter] = node._parameter_overrides
 
-    def declare(self, component: type, prefix: str = "", read_only: bool = False) -> None:
+    def declare(
+        self,
+        component: type,
+        prefix: str = "",
+        read_only: bool = False,
+        defaults: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
         """Declare every parameter of a dataclass, its name behind ``prefix``.
 
+        ``defaults``, by the names in the dataclass, take the place of its own.
         Raises ValueError that names a parameter given at the start of the wrong type or out of bounds.
         """
         for own in parameters_of(component):
             spec = dataclasses.replace(own, name=prefix + own.name)
-            default = list(spec.default) if isinstance(spec.default, tuple) else spec.default
+            default = defaults.get(own.name, spec.default)
+            default = list(default) if isinstance(default, tuple) else default
             if (given := self._given.get(spec.name)) is not None:  # checked as ROS would, but in one line
                 value = _plain(given.value)
                 wanted, words = _EXPECTED[type(spec.default)]

@@ -56,13 +56,14 @@ def read_servos(data: bytes) -> ServoPacket:
 
 
 def rotor_speeds(vehicle: Vehicle, pwm: Sequence[int]) -> Components:
-    """Speeds that the first channels ask of the rotors, in their order [rad/s].
+    """Speeds [rad/s] that the first channels ask of the rotors, in their order, within the rotors' range.
 
     The speed is in proportion to the pulse, so the thrust to its square: ArduPilot's ``MOT_THST_EXPO`` 1.
     """
     rotors = vehicle.rotors
     pulses = np.array(pwm[: len(rotors.positions)], dtype=np.float64)
-    return rotors.speed_max * np.clip((pulses - LOWEST) / (HIGHEST - LOWEST), 0.0, 1.0)
+    wanted = rotors.speed_max * (pulses - LOWEST) / (HIGHEST - LOWEST)
+    return np.clip(wanted, rotors.speed_min, rotors.speed_max)
 
 
 def to_ned(vector: Vector) -> Vector:
@@ -105,6 +106,7 @@ class Shown(NamedTuple):
     emission: Emission
     injected: Faulty | None  # the sample with its faults; None: it is on its way
     line: bytes
+    command: Components | None  # rotor speeds under which it flew here [rad/s]; None: it begins here
 
 
 class ArduPilotPhysics:
@@ -140,7 +142,7 @@ class ArduPilotPhysics:
             self._simulator = self._make_simulator(float(packet.frame_rate))
             self._injector, self._sample = self._make_injector(), level_sample()
             self.flights += 1
-            emission = self._simulator.start()
+            command, emission = None, self._simulator.start()
         elif self.shown is not None and packet.frame_count == self._frame:
             self.counts["frame_count repeated"] += 1
             return self.shown.line
@@ -148,12 +150,13 @@ class ArduPilotPhysics:
             if missing := packet.frame_count - self._frame - 1:
                 self.counts["frame_count skipped"] += missing
             self._simulator.set_period(period_ns(packet.frame_rate))
-            emission = self._simulator.advance(rotor_speeds(self._simulator.plant.vehicle, packet.pwm))
+            command = rotor_speeds(self._simulator.plant.vehicle, packet.pwm)
+            emission = self._simulator.advance(command)
         self._frame = packet.frame_count
-        self.shown = self._show(emission, self._simulator)
+        self.shown = self._show(emission, self._simulator, command)
         return self.shown.line
 
-    def _show(self, emission: Emission, simulator: Simulator) -> Shown:
+    def _show(self, emission: Emission, simulator: Simulator, command: Components | None) -> Shown:
         """Put the faults on a sample and on the rotors.
 
         SITL needs all samples, so a value stays until the next one comes.
@@ -165,7 +168,7 @@ class ArduPilotPhysics:
             simulator.set_rotors(injected.rotors)
         motion = emission.flight
         assert motion is not None
-        return Shown(emission, injected, state_line(simulator.time, self._sample, motion))
+        return Shown(emission, injected, state_line(simulator.time, self._sample, motion), command)
 
 
 def held(injected: Faulty, last: ImuSample) -> ImuSample:

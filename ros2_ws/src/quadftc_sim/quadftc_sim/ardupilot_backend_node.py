@@ -6,8 +6,9 @@
 
 SITL asks over UDP for one period after the other, and waits for each: it makes time. Parameters are those of
 the plant and the fault injector. The vehicle stands on the ground at first.
-Outputs: imu/data (with its faults, as SITL gets it), the true fault on fault/injected; the truth on
-plant/odometry, rotors/speed and wind/applied.
+Outputs: imu/data (with its faults, as SITL gets it); rotors/command and torque/command, which SITL's pulses
+ask for after a sample, without the rotors' lag; the true fault on fault/injected; the truth on plant/odometry,
+rotors/speed and wind/applied.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from typing import Any
 
 from quadftc_compile.engine import engine_from
 from quadftc_model.parameters import parameter
+from quadftc_model.rotors import wrench_from_speeds
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
+from quadftc_ros.motion_wire import RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire
@@ -31,7 +34,7 @@ from quadftc_sim.assembly import injector_from, simulator_from
 from quadftc_sim.injection import TRUTH
 from quadftc_sim.plant import plants
 from quadftc_sim.plant_output import FlightOutput
-from quadftc_sim.sensors import ImuSensor
+from quadftc_sim.sensors import GRADES, ImuSensor
 from quadftc_sim.simulator import Simulator
 
 LOOK = 0.1  # s; how often the socket's thread looks whether it is to end
@@ -40,11 +43,14 @@ PACKET = 2048  # bytes; more than any packet has
 
 @dataclasses.dataclass(frozen=True)
 class BackendParameters:
-    """Parameters of the node besides those of the plant and, behind ``imu.``, :class:`ImuSensor`."""
+    """Parameters of the node besides those of the plant and of the IMU."""
 
     plant: str = parameter("free_flight", doc="name of the plant; it must fly")
     vehicle: str = parameter("x500", doc="name of a vehicle, or path of its TOML file; rotors as ArduPilot's")
     seed: int = parameter(0, low=0, doc="of the sensor's noise and bias, and of random faults")
+    imu_grade: str = parameter(
+        "mems", choices=(*GRADES,), doc="which numbers the parameters imu.* begin with; ideal: no noise"
+    )
     address: str = parameter("127.0.0.1", doc="of this machine, where SITL's packets come; 0.0.0.0: any")
     port: int = parameter(9002, low=0, high=65535, doc="UDP port there; 0: any that is free")
 
@@ -59,7 +65,8 @@ class ArduPilotBackendNode(GraphNode):
         if not law.flies:
             raise ValueError(f"plant = '{self.settings.values()['plant']}': expected one that flies")
         self.settings.declare(law, read_only=True)
-        self.settings.declare(ImuSensor, "imu.", read_only=True)
+        grade = GRADES[self.settings.values()["imu_grade"]]
+        self.settings.declare(ImuSensor, "imu.", read_only=True, defaults=grade)
         for name in ("winds", "disturbances", "faults"):
             self.settings.declare_list(name, "each: kind key=value..., as of plant and fault_injector")
         self._values = self.settings.values()
@@ -68,7 +75,11 @@ class ArduPilotBackendNode(GraphNode):
         plant: Any = simulator.plant
         self._values |= {"start": [*plant.start[:2], -plant.feet[0, 2]], "rotors": plant.command_size}
         self.physics = ArduPilotPhysics(self._simulator, partial(injector_from, self._values, self._engine))
+        self._vehicle = plant.vehicle
         self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire(self.imu_frame)
+        self._publish_speeds = self.publishes("rotors/command")
+        self._speeds = RotorsWire(plant.command_size, self.base_frame)
+        self._publish_torque, self._torque = self.publishes("torque/command"), VectorWire(self.base_frame)
         self._truth = {
             channel: (
                 self.publishes(topic),
@@ -133,8 +144,18 @@ class ArduPilotBackendNode(GraphNode):
             except OSError:  # nothing came, or SITL has gone and its port refused our last answer
                 continue
             if (shown := self.physics.shown) is not None and shown is not last:
+                if last is not None:
+                    self._show_command(last, shown)
                 self._show(shown)
                 last = shown
+
+    def _show_command(self, last: Shown, shown: Shown) -> None:
+        """Publish how SITL has answered a sample: what it asks of the rotors."""
+        if shown.command is None or last.injected is None or not last.injected.present:
+            return
+        stamp_ns, (torque, _) = last.emission.sample_stamp_ns, wrench_from_speeds(self._vehicle, shown.command)
+        self._publish_speeds(self._speeds(stamp_ns, shown.command))
+        self._publish_torque(self._torque(stamp_ns, torque))
 
     def _show(self, shown: Shown) -> None:
         """Publish a sample as SITL got it, and the truth."""

@@ -18,6 +18,7 @@ from quadftc_sim.ardupilot import ArduPilotPhysics, ned_attitude, read_servos, r
 from quadftc_sim.ardupilot_backend_node import ArduPilotBackendNode
 from quadftc_sim.assembly import injection_from, simulator_from
 from quadftc_sim.injector import FaultInjector
+from quadftc_sim.sensors import GRADES
 from wired_node import Wired
 
 VEHICLE = load_vehicle("x500")
@@ -68,9 +69,9 @@ def test_servo_packet_of_32_channels_is_read_as_published():
     assert read_servos(data) == (1000, 2**32 - 1, (1000,) * 32)
 
 
-def test_pulses_ask_for_speeds_from_zero_to_the_largest():
-    speeds = rotor_speeds(VEHICLE, (1000, 1500, 2000, 0))
-    np.testing.assert_allclose(speeds, VEHICLE.rotors.speed_max * np.array([0.0, 0.5, 1.0, 0.0]))
+def test_pulses_ask_for_speeds_that_the_rotors_have():
+    least, most = VEHICLE.rotors.speed_min, VEHICLE.rotors.speed_max
+    assert rotor_speeds(VEHICLE, (1000, 1500, 2100, 0)).tolist() == [least, 0.5 * most, most, least]
 
 
 @given(st.tuples(*[st.floats(-1.5, 1.5)] * 3))
@@ -206,7 +207,11 @@ def test_sitl_that_restarts_begins_a_new_flight():
 @pytest.fixture
 def node():
     with Wired(
-        ArduPilotBackendNode, "realtime", port=0, faults=["bias channel=gyro axes=x value=0.5"]
+        ArduPilotBackendNode,
+        "realtime",
+        port=0,
+        faults=["bias channel=gyro axes=x value=0.5"],
+        imu_grade="ideal",
     ) as made:
         yield made
 
@@ -236,9 +241,21 @@ def test_node_answers_sitl_and_publishes_what_it_gets(node):
     assert lines[0]["position"][2] == pytest.approx(-0.5 * 0.246, abs=1e-3)  # it stands on the ground
     published = published_by(node, 3)
     assert len(published["plant/odometry"]) == 3
+    for topic in ("rotors/command", "torque/command"):  # after the first sample and the second
+        stamps = [message.header.stamp for message in published[topic]]
+        assert stamps == [message.header.stamp for message in published["imu/data"][:2]]
+    assert published["rotors/command"][-1].velocity.tolist() == [VEHICLE.rotors.speed_min] * 4
     assert published["imu/data"][-1].angular_velocity.x == lines[-1]["imu"]["gyro"][0]
     assert published["fault/injected/gyro"][-1].vector.x == pytest.approx(0.5)
     assert node.node.physics.counts == {"length": 1}
+
+
+def test_imu_of_the_node_is_a_mems_one_unless_it_is_told_otherwise():
+    names = ("imu.gyro_noise", "imu.delay", "imu.accelerometer_noise")
+    mems = [GRADES["mems"][name.removeprefix("imu.")] for name in names]
+    for given, expected in (({}, mems), ({"imu_grade": "ideal"}, [0.0, 0, 0.0])):
+        with Wired(ArduPilotBackendNode, "realtime", port=0, **given, **{names[2]: 0.5}) as made:
+            assert [made.node.get_parameter(name).value for name in names] == [*expected[:2], 0.5]
 
 
 @pytest.mark.parametrize(
@@ -248,6 +265,7 @@ def test_node_answers_sitl_and_publishes_what_it_gets(node):
         ({"address": "256.1.1.1"}, "address = '256.1.1.1'"),
         ({"port": 70000}, "port = 70000"),
         ({"faults": ["bais channel=gyro"]}, "no fault 'bais'"),
+        ({"imu_grade": "mem"}, "imu_grade = 'mem': expected one of ideal, mems"),
     ],
 )
 def test_wrong_parameter_is_refused(wrong, words):
