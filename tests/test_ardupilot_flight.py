@@ -16,7 +16,7 @@ RIGHT = (1, -1, -1, 1)  # of its rotors: those that lift the right side
 
 
 class StandIn:
-    """Flies as SITL does, over UDP: climbs for a second, then hovers, and rolls a little to and fro."""
+    """Flies as SITL does, over UDP: climbs for a second, then hovers, and rolls a little left and right."""
 
     def __init__(self, port):
         self.count = 0

@@ -7,8 +7,8 @@
 SITL asks over UDP for one period after the other, and waits for each: it makes time. Parameters are those of
 the plant and the fault injector. The vehicle stands on the ground at first.
 Outputs: imu/data (with its faults, as SITL gets it); rotors/command and torque/command, which SITL's pulses
-ask for after a sample, without the rotors' lag; the true fault on fault/injected; the truth on plant/odometry,
-rotors/speed and wind/applied.
+ask for after a sample, without the rotors' lag; the true fault on fault/injected; the truth on
+plant/odometry, rotors/speed and wind/applied.
 """
 
 from __future__ import annotations
@@ -153,7 +153,8 @@ class ArduPilotBackendNode(GraphNode):
         """Publish how SITL has answered a sample: what it asks of the rotors."""
         if shown.command is None or last.injected is None or not last.injected.present:
             return
-        stamp_ns, (torque, _) = last.emission.sample_stamp_ns, wrench_from_speeds(self._vehicle, shown.command)
+        stamp_ns = last.emission.sample_stamp_ns
+        torque, _ = wrench_from_speeds(self._vehicle, shown.command)
         self._publish_speeds(self._speeds(stamp_ns, shown.command))
         self._publish_torque(self._torque(stamp_ns, torque))
 

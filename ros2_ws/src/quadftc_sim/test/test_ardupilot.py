@@ -253,8 +253,8 @@ def test_node_answers_sitl_and_publishes_what_it_gets(node):
 def test_imu_of_the_node_is_a_mems_one_unless_it_is_told_otherwise():
     names = ("imu.gyro_noise", "imu.delay", "imu.accelerometer_noise")
     mems = [GRADES["mems"][name.removeprefix("imu.")] for name in names]
-    for given, expected in (({}, mems), ({"imu_grade": "ideal"}, [0.0, 0, 0.0])):
-        with Wired(ArduPilotBackendNode, "realtime", port=0, **given, **{names[2]: 0.5}) as made:
+    for chosen, expected in (({}, mems), ({"imu_grade": "ideal"}, [0.0, 0, 0.0])):
+        with Wired(ArduPilotBackendNode, "realtime", port=0, **chosen, **{names[2]: 0.5}) as made:
             assert [made.node.get_parameter(name).value for name in names] == [*expected[:2], 0.5]
 
 
