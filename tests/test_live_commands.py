@@ -49,7 +49,7 @@ def test_wrong_fault_is_refused_before_it_is_sent(text, words):
 
 
 def test_bare_number_is_si_where_that_makes_sense():
-    of_rotors = request_fields("loss rotors=1,3 value=30% start=1s")
+    of_rotors = request_fields("loss rotors=[1, 3] value=30% start=1s")
     assert (of_rotors["channel"], of_rotors["axes"]) == ("rotor", ["1", "3"])
     assert of_rotors["parameter_values"] == [0.3]
     assert request_fields("bias value=0.05")["parameter_values"] == [0.05]

@@ -1,13 +1,17 @@
 """Component specifications in one line of text: ``bias channel=attitude axes=roll value=1deg stop=40s``.
 
-The first word names the component, the others set its parameters; a comma makes a list. ROS parameters,
-services and the command line carry components in this form.
+The first word names the component, the others set its parameters; a comma makes a list, which may have
+brackets as in YAML: ``rotors=1,2`` is ``rotors=[1, 2]``. ROS parameters, services and the command line carry
+components in this form.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
+
+_WORD = re.compile(r"(?:\[[^]]*\]|\S)+")  # blanks within brackets do not end it
 
 
 class Spec(NamedTuple):
@@ -19,7 +23,7 @@ class Spec(NamedTuple):
 
 def parse_spec(text: str) -> Spec:
     """Parse one specification."""
-    words = text.split()
+    words = _WORD.findall(text)
     if not words or "=" in words[0]:
         raise ValueError(f"{text!r}: expected a name first, then key=value words")
     values: dict[str, Any] = {}
@@ -29,8 +33,18 @@ def parse_spec(text: str) -> Spec:
             raise ValueError(f"{text!r}: '{word}' is no key=value")
         if key in values:
             raise ValueError(f"{text!r}: '{key}' is given twice")
-        values[key] = value.split(",") if "," in value else value
+        values[key] = _value(value)
     return Spec(words[0], values)
+
+
+def _value(text: str) -> str | list[str]:
+    """Return a text, or the texts of a list."""
+    inner = text.removeprefix("[").removesuffix("]") if text[0] + text[-1] == "[]" else text
+    if "[" in inner or "]" in inner:
+        raise ValueError(f"'{text}' is no list: expected such as [1, 2], or 1,2 without brackets")
+    if inner is text:
+        return text.split(",") if "," in text else text
+    return [each.strip() for each in inner.split(",")] if inner.strip() else []
 
 
 def format_spec(kind: str, values: Mapping[str, Any]) -> str:

@@ -16,6 +16,21 @@ def test_words_become_a_name_and_values():
     assert spec.values == {"channel": "attitude", "axes": ["roll", "pitch"], "value": "1deg", "start": "20s"}
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("rotors=[1]", ["1"]),
+        ("rotors=[1,3]", ["1", "3"]),
+        ("rotors=[ 1, 3 ]", ["1", "3"]),
+        ("rotors=[]", []),
+        ("rotors=1,3", ["1", "3"]),
+        ("rotors=1", "1"),
+    ],
+)
+def test_list_may_have_brackets_as_in_yaml(text, expected):
+    assert parse_spec(f"loss {text} value=0.5").values == {"rotors": expected, "value": "0.5"}
+
+
 @given(FLOATS, st.lists(FLOATS, min_size=2, max_size=4))
 def test_floats_survive_a_round_trip_exactly(number, numbers):
     values = parse_spec(format_spec("kind", {"number": number, "numbers": numbers})).values
@@ -43,6 +58,10 @@ def test_other_values_survive_a_round_trip():
         ("bias =1", "'=1' is no key=value"),
         ("bias value=", "'value=' is no key=value"),
         ("bias value=1 value=2", "'value' is given twice"),
+        ("loss rotors=[1", r"'\[1' is no list: expected such as \[1, 2\], or 1,2"),
+        ("loss rotors=[1]]", "is no list"),
+        ("loss rotors=[[1], 2]", "is no list"),
+        ("loss rotors=1]", "is no list"),
     ],
 )
 def test_wrong_specification_is_refused_with_the_word(text, message):
