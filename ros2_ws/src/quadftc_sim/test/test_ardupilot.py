@@ -126,7 +126,7 @@ def test_fault_is_in_what_sitl_gets():
 
 
 def test_rotor_that_loses_half_its_thrust_turns_the_vehicle():
-    made = physics("loss rotors=1 value=0.5 start=0.25s", start=[0.0, 0.0, 10.0])
+    made = physics("loss rotors=[1] value=0.5 start=0.25s", start=[0.0, 0.0, 10.0])
     gyro = np.array([state["imu"]["gyro"] for state in flown(made, 160, hover_pwm())])
     x, y = VEHICLE.rotors.positions[0, :2]
     np.testing.assert_allclose(gyro[:100], 0.0, atol=0.01)
