@@ -171,9 +171,9 @@ class GraphNode(ManagedNode):
         self.reads(topic, checked, decode)
         self.offers_reset(restart, "restarts at the next sample")
 
-    def offers(self, name: str, service: type, answer: Callable[[Any, Any], Any]) -> None:
-        """Create the service ``~/name``; ``answer(request, response)`` returns the response."""
-        self.create_service(service, f"~/{name}", answer, qos_profile=service_profile())
+    def offers(self, name: str, service: type, answer: Callable[[Any, Any], Any], under: str = "~") -> None:
+        """Create the service ``under/name``; ``answer(request, response)`` returns the response."""
+        self.create_service(service, f"{under}/{name}", answer, qos_profile=service_profile())
 
     def offers_reset(self, restart: Callable[[], None], words: str) -> None:
         """Create the service ``~/reset``, which calls ``restart()`` and answers with ``words``.

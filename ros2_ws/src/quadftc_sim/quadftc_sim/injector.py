@@ -332,6 +332,11 @@ class FaultInjector:
         return {number: injection for number, injection in self.injections.items() if injection.start <= now}
 
     @property
+    def begun(self) -> bool:
+        """Whether there has been a sample."""
+        return self._epoch_ns is not None
+
+    @property
     def now(self) -> float:
         """Scenario time of the last sample [s]; 0 before the first."""
         return 0.0 if self._epoch_ns is None else seconds(self._stamp_ns - self._epoch_ns)
