@@ -34,7 +34,9 @@ BEGIN = 3  # bytes before the fields
 FORMAT_TYPE = 128
 FORMAT = struct.Struct("<BB4s16s64s")
 PARAMETER, PARAMETER_FIELDS = "PARM", ("Name", "Value")
-PAGE = 256  # bytes; logs written in pages end with one, within a message or with garbage behind the last
+# bytes; a board writes a log in chunks of 512 or a multiple (AP_Logger_File), and may leave out the last
+CHUNK = 512
+MOST_LEFT = 256  # bytes; the longest message is shorter
 BLOCK = 65536  # messages gathered at a time
 
 
@@ -44,6 +46,7 @@ class DataflashLog(NamedTuple):
     messages: Mapping[str, Mapping[str, NDArray[Any]]]
     parameters: Mapping[str, float]  # at the end of the log
     notes: tuple[str, ...]  # one line each
+    lacks_chunk: bool = False  # the log ends within a message, with a chunk that a board wrote
 
 
 class _Format(NamedTuple):
@@ -70,7 +73,7 @@ def read_dataflash(
         raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if not scan.formats:
         raise BagError(f"{path}: not an ArduPilot log: no format of a message (FMT) in it")
-    return DataflashLog(messages, parameters_of(parameters), tuple(scan.notes()))
+    return DataflashLog(messages, parameters_of(parameters), tuple(scan.notes()), scan.lacks_chunk)
 
 
 def parameters_of(table: Mapping[str, NDArray[Any]]) -> dict[str, float]:
@@ -97,7 +100,7 @@ class _Scan:
         self.formats: dict[int, _Format] = {}
         self.places: dict[int, defaultdict[int, Places]] = {}  # type -> instance -> places
         self._instance_at: dict[int, int] = {}  # type -> byte of a message that tells the instance
-        self.is_cut = False  # the log ends within a message, and not with a page
+        self.is_cut = self.lacks_chunk = False  # the log ends within a message: anywhere, or with a chunk
         self.skipped = self.gaps = self.left = self.wrong_formats = 0
         self._lengths = [0] * 256
         self._lengths[FORMAT_TYPE] = BEGIN + FORMAT.size
@@ -124,8 +127,9 @@ class _Scan:
                 self._learn(at)
             at = end = after
         self.left = size - end
-        is_message = self.left >= BEGIN and data[end : end + len(HEAD)] == HEAD
-        self.is_cut = size % PAGE > 0 and is_message and lengths[data[end + len(HEAD)]] > self.left
+        begins = data[end : end + len(HEAD)] == HEAD[: self.left] if self.left else False
+        is_partial = begins and (self.left < BEGIN or lengths[data[end + len(HEAD)]] > self.left)
+        self.is_cut, self.lacks_chunk = is_partial and size % CHUNK > 0, is_partial and size % CHUNK == 0
 
     def _is_followed(self, at: int, after: int, size: int) -> bool:
         """Whether a message is followed by another or the end, or has at least no other inside."""
@@ -163,7 +167,7 @@ class _Scan:
             yield f"{self.skipped} bytes at {self.gaps} places are no messages; left out"
         if self.is_cut:
             yield "cut short: the log ends within a message"
-        elif self.left > PAGE:
+        elif self.left > MOST_LEFT:
             yield f"cut short or damaged: {self.left} bytes behind the last message; left out"
         if self.wrong_formats:
             yield f"{self.wrong_formats} formats of messages make no sense; left out"

@@ -12,7 +12,7 @@ from pymavlink.DFReader import DFReader_binary
 from quadftc_bags.bag import BagError
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_replay import thinning
-from quadftc_replay.dataflash import read_dataflash
+from quadftc_replay.dataflash import CHUNK, read_dataflash
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.ardupilot_tables import group_reports
 
@@ -194,3 +194,33 @@ def test_log_that_is_cut_is_read_up_to_the_cut(path):
     log = read_log(path)
     assert log.notes == ("cut short: the log ends within a message",)
     assert 0.4 * COUNT < len(log.gyros[""]) < 0.6 * COUNT
+
+
+def test_log_that_is_cut_within_the_head_of_a_message_is_not_whole(path):
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.index(b"\xa3\x95", len(whole) // 2) + 2])
+    assert read_log(path).incomplete == "cut short: the log ends within a message"
+
+
+@pytest.mark.parametrize(
+    ("events", "incomplete"),
+    [
+        ([10, 15], "cut short: the log ends within a message, with the vehicle armed"),
+        ([10, 15, 11], ""),
+        ([], ""),  # boards leave the last chunk out
+    ],
+)
+def test_log_that_ends_with_a_chunk_is_cut_if_the_vehicle_is_still_armed(path, events, incomplete):
+    form = message(128, struct.pack("<BB4s16s64s", 140, 12, b"EV", b"QB", b"TimeUS,Id"))
+    said = b"".join(message(140, struct.pack("<QB", START_US, number)) for number in events)
+    data = form + said + path.read_bytes()
+    size = next(
+        size for size in range(len(data) // 2 // CHUNK * CHUNK, 0, -CHUNK) if ends_within(data[:size])
+    )
+    path.write_bytes(data[:size])
+    assert read_log(path).incomplete == incomplete
+
+
+def ends_within(data: bytes) -> bool:
+    """Whether the last head of a message is followed by less than the shortest of them."""
+    return 0 < len(data) - data.rindex(b"\xa3\x95") < 12

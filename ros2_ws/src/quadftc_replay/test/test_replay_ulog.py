@@ -203,9 +203,19 @@ def test_other_file_is_refused(tmp_path, content):
     assert "\n" not in str(caught.value)
 
 
-def test_log_cut_short_is_read_up_to_the_cut(tmp_path):
+def message_starts(data):
+    """Where the messages of a ULog begin: behind its head of 16 bytes, each with the size of its content."""
+    at = 16
+    while at + 3 <= len(data):
+        yield at
+        at += 3 + int.from_bytes(data[at : at + 2], "little")
+
+
+@pytest.mark.parametrize("kept", [1, 2, 3, 4], ids=lambda kept: f"{kept} bytes of a message")
+def test_log_cut_short_is_read_up_to_the_cut(tmp_path, kept):
     path = write_ulog(tmp_path / "log.ulg", flight())
-    path.write_bytes(path.read_bytes()[:-5000])
+    whole = path.read_bytes()
+    path.write_bytes(whole[: next(at for at in message_starts(whole) if at > len(whole) - 5000) + kept])
     recording = recording_from_log(path)
     assert 100 < len(recording) < COUNT
     assert recording.warnings[0] == f"{path}: cut short: the log ends within a message"

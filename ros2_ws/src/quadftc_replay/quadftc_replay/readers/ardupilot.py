@@ -130,6 +130,8 @@ def read_text(path: Path) -> FlightLog:
 def _flight_log(path: Path, name: str, log: DataflashLog) -> FlightLog:
     signals = Signals(path, name)
     signals.notes += log.notes
+    if log.lacks_chunk and _ends_armed(log.messages):
+        signals.notes.append("cut short: the log ends within a message, with the vehicle armed")
     for field, (fast, fields) in SENSORS.items():
         _add_sensors(signals, log.messages, field, fast, fields)
     _add_states(signals, log.messages)
@@ -142,6 +144,13 @@ def _flight_log(path: Path, name: str, log: DataflashLog) -> FlightLog:
         rotor_positions=layout and layout.positions,
         rotor_yaw_signs=layout and layout.yaw_signs,
     )
+
+
+def _ends_armed(messages: Mapping[str, Table]) -> bool:
+    """Whether the vehicle was armed, and not disarmed again before the log ends."""
+    numbers = messages.get("EV", {}).get("Id", ())
+    said = [word for number in numbers if (word := EVENTS.get(int(number))) in ("armed", "disarmed")]
+    return said[-1:] == ["armed"]
 
 
 def _add_sensors(

@@ -75,6 +75,7 @@ TOPICS = (
 )
 INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
 LEAST_RATE = 20.0  # Hz; slower instances are PX4's spot checks of sensors that do not fly the vehicle
+HEADER = 3  # bytes of a message before its content
 RPM = 2.0 * math.pi / 60.0  # rad/s
 FIRST_MOTOR = 101  # actuator output function of motor 1
 MAX_MOTORS = 12
@@ -138,8 +139,8 @@ class _Watched(io.BufferedReader):
     def read(self, size: int | None = -1, /) -> bytes:
         """Read bytes."""
         data = super().read(size)
-        if size is not None and 0 < len(data) < size:
-            self.is_short = True
+        if size is not None and len(data) < size:  # nothing at all is the end, where a message would begin
+            self.is_short = self.is_short or bool(data) or size != HEADER
         return data
 
 
