@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -12,10 +13,12 @@ import time
 from pathlib import Path
 
 import pytest
+import typer
 import yaml
 
 from command_bench import call_quadftc, installed_command, run_installed
 from quadftc_bags.bag import read_bag
+from quadftc_cli.main import guarded
 
 SCENARIO = """\
 name: tiny
@@ -239,3 +242,15 @@ def test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there(folder: Path):
     assert repaired.returncode == 0, repaired.stderr
     assert f"kept: {kept} messages" in repaired.stdout
     assert sum(topic.count for topic in read_bag(f"{bag}-repaired").topics.values()) == kept
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG])
+def test_disk_that_takes_no_more_is_said_in_a_line(number, capfd):
+    app = typer.Typer()
+
+    @app.command()
+    def fill() -> None:
+        raise OSError(number, os.strerror(number), "out/report.html")
+
+    assert guarded(["--"], app) == 2
+    assert capfd.readouterr().err == f"error: out/report.html: {os.strerror(number)}\n"

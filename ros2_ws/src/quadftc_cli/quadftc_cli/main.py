@@ -31,8 +31,8 @@ GRAPH_ERROR = "quadftc_flight.graph.plan.GraphError"
 MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters
 PATHS_FAULT = (
     *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG),
-    *(errno.ELOOP, errno.EROFS, errno.EINVAL),
-)  # errors of the system that say that a path was bad input
+    *(errno.ELOOP, errno.EROFS, errno.EINVAL, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+)  # errors of the system that say that a path was bad input, or that its disk takes no more
 
 SUBCOMMANDS = "quadftc.commands"  # entry points: functions, or a typer.Typer with commands of its own
 

@@ -57,9 +57,14 @@ def check_cases(group: str, checks: Iterable[Mapping[str, Any]]) -> list[Case]:
 
 
 def write_file(path: Path, text: str) -> Path:
-    """Write a text so that nobody sees half of it."""
+    """Write a text so that nobody sees half of it; OSError, with the path, leaves nothing behind."""
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-        stream.write(text)
-    Path(name).chmod(0o644)
-    return Path(name).replace(path)
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+            stream.write(text)
+        Path(name).chmod(0o644)
+        return Path(name).replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
+        Path(name).unlink(missing_ok=True)

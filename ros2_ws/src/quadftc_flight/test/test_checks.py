@@ -1,12 +1,14 @@
 """Checks from files and from the command line, and what became of them as JUnit XML."""
 
+import errno
 import re
+import resource
 from xml.etree import ElementTree as ET
 
 import pytest
 
 from quadftc_flight.checks import check_results, checks_from
-from quadftc_flight.junit import Case, check_cases, write_junit
+from quadftc_flight.junit import Case, check_cases, write_file, write_junit
 
 METRICS = {"lost": False, "missed": 2, "rmse": {"roll": 0.1, "pitch": 0.3, "yaw": None}}
 
@@ -61,3 +63,17 @@ def test_junit_counts_what_failed_and_what_was_not_judged(tmp_path):
         "rmse pitch = 0.3, required below 0.2",
         "rmse yaw = no value, required below 0.2",
     ]
+
+
+def test_file_that_finds_no_room_is_named_and_leaves_the_one_before(tmp_path):
+    path = write_file(tmp_path / "verdict.json", "before")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        with pytest.raises(OSError, match="File too large") as caught:
+            write_file(path, "x" * 1000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (caught.value.errno, caught.value.filename) == (errno.EFBIG, str(path))
+    assert [each.name for each in tmp_path.iterdir()] == ["verdict.json"]
+    assert path.read_text() == "before"

@@ -130,8 +130,11 @@ def main(arguments: list[str]) -> int:
             pickle.dump(value, stream, pickle.HIGHEST_PROTOCOL)
     except MemoryError:
         return NO_MEMORY
-    except (BagError, OSError) as error:
+    except BagError as error:
         sys.stdout.write(" ".join(str(error).split()))
+        return BAD_INPUT
+    except OSError as error:
+        sys.stdout.write(f"{error.filename or f'temporary file {result}'}: {error.strerror or error}")
         return BAD_INPUT
     return 0
 
