@@ -92,7 +92,7 @@ def _frame(log: FlightLog) -> dict[str, float]:
         return {}
     rotors = len(signs)
     kind = next((each for each, count in CLASSES.items() if count == rotors), 0)
-    found: dict[int, tuple[float, list[int]]] = {}  # FRAME_TYPE: how far rotors are off, motor of each
+    found: list[tuple[float, bool, int, list[int]]] = []  # cosine, in this order, FRAME_TYPE, motors
     for form, name in FRAMES.items():
         if (layout := frame_layout(rotors, name)) is None:
             continue
@@ -100,10 +100,11 @@ def _frame(log: FlightLog) -> dict[str, float]:
         near = directions @ layout.positions.T
         motors = near.argmax(axis=1)
         if len({*motors.tolist()}) == rotors and np.all(layout.yaw_signs[motors] == signs):
-            found.setdefault(form, (float(near.max(axis=1).min()), motors.tolist()))
+            order = motors.tolist()
+            found.append((round(float(near.max(axis=1).min()), 6), order == sorted(order), form, order))
     if not found:
         raise ValueError(f"{log.path}: ArduPilot has no frame of {rotors} rotors at these places; try px4")
-    form, (_, motors) = max(found.items(), key=lambda each: each[1][0])
+    _, _, form, motors = max(found, key=lambda each: each[:2])
     servos = {f"SERVO{k + 1}_FUNCTION": float(IN_THE_ORDER[motor]) for k, motor in enumerate(motors)}
     return {"FRAME_CLASS": float(kind), "FRAME_TYPE": float(form), **servos}
 
@@ -131,7 +132,7 @@ def _add_imus(writer: DataflashWriter, log: FlightLog) -> None:
     if log.vibration is not None:
         level = thin(log.vibration, RATES["VIBE"])
         clips = np.zeros((len(level), 1)) if log.clips is None else log.clips.at(level.time)
-        each = np.repeat(level.value, 3, axis=1)
+        each = np.broadcast_to(level.value, (len(level), 3))
         _put(writer, "VIBE", "BfffI", level, {"IMU": 0, **_axes("Vibe", each), "Clip": clips[:, 0]})
 
 

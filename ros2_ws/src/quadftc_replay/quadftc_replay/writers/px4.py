@@ -108,7 +108,7 @@ def _add_imu(writer: UlogWriter, log: FlightLog) -> None:
         level = thin(log.vibration, RATES["vehicle_imu_status"])
         clips = np.zeros((len(level), 3))
         clips[:, 0] = 0.0 if log.clips is None else log.clips.at(level.time)[:, 0]
-        fields = {"float accel_vibration_metric": np.sqrt(3.0) * level.value[:, 0]}
+        fields = {"float accel_vibration_metric": np.sqrt(3.0 * np.mean(level.value**2, axis=1))}
         _put(writer, "vehicle_imu_status", level, {**fields, "uint32_t[3] accel_clipping": clips})
 
 
