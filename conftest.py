@@ -108,6 +108,7 @@ SLOW_FILES = {
     "test_stretches.py",
     "test_study_crazyflie.py",
     "test_study_diagnosis.py",
+    "test_study_false_alarms.py",
     "test_study_robustness.py",
     "test_supervised.py",
     "test_theory_control.py",

@@ -70,3 +70,10 @@ def test_file_that_is_no_log_is_named(tmp_path):
     done = call_quadftc("diagnose", path)
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {path}: a PNG picture; expected a log of one of the formats")
+
+
+def test_level_that_no_flight_supports_is_refused(archive, tmp_path):
+    options = ("--mapping", tmp_path / "mapping.toml", "--log", "1", "--out", tmp_path / "out")
+    done = call_quadftc("diagnose", archive, *options, "--false-alarms", "1/10h")
+    assert done.returncode == 2
+    assert "no calibration flights logged as CSV; there are: ArduPilot, PX4" in done.stderr

@@ -36,6 +36,12 @@ def diagnose(
         str, Option(help="Vehicle, by name or TOML file, for the layout of the rotors; default: the log's.")
     ] = "",
     seed: Annotated[int, Option(help="Seed of random faults.")] = 0,
+    false_alarms: Annotated[
+        str,
+        Option(
+            metavar="LEVEL", help="Flights with a false finding at most, such as 1/10h; default: as it is."
+        ),
+    ] = "",
     out: Annotated[
         Path | None,
         Option(
@@ -64,6 +70,7 @@ def diagnose(
         faults=tuple(fault),
         vehicle=vehicle,
         seed=seed,
+        false_alarms=false_alarms,
     )
     with Bars(console()) as bars:
         inspection = diagnose_log(log, how, bars.add(log.resolve().name))

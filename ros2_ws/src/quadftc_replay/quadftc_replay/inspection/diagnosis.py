@@ -9,10 +9,12 @@ from pathlib import Path
 from quadftc_flight.junit import Case, Failure, write_file, write_junit
 from quadftc_flight.scenario import Fault
 from quadftc_model.vehicle import load_vehicle
+from quadftc_replay.calibration import level_for
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.inspection.inspect import Inspection, Progress, inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.inspection.verdict import Verdict, show, unjudged
+from quadftc_replay.inspection.wording import apply_level
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.readers import ONLY_ONE, LogChoice
 from quadftc_replay.readers.bounded import read_bounded
@@ -31,6 +33,7 @@ class DiagnosisOptions:
     baseline_log: int = 0  # of several in the file of the baseline, from 1; 0: the only one
     vehicle: str = ""  # name or TOML file, for the layout of the rotors; empty: what the log says
     seed: int = 0  # of random faults
+    false_alarms: str = ""  # level that was asked for, such as "1/10h"; empty: all findings count
 
 
 def diagnose_log(
@@ -40,13 +43,21 @@ def diagnose_log(
     faults: tuple[Fault, ...] = faults_from((), options.faults)
     log = read_with_layout(path, options.vehicle, options.choice)
     baseline = None
+    level = level_for(options.false_alarms, log.format) if options.false_alarms else None
     if options.baseline is not None:
+        if level is not None:
+            raise ValueError("--false-alarms takes no --baseline: no flight was calibrated with one")
         choice = options.choice._replace(log=options.baseline_log)
         baseline = read_with_layout(options.baseline, options.vehicle, choice)
     progress(READING)
     if faults:
         log = overlay_faults(log, faults, options.seed)
-    return inspect(log, baseline, lambda share: progress(READING + (1.0 - READING) * share))
+    inspection = inspect(log, baseline, lambda share: progress(READING + (1.0 - READING) * share))
+    if level is None:
+        return inspection
+    verdict = apply_level(inspection.verdict, inspection.flight, level)
+    found = tuple(each for each in inspection.found if each.finding in verdict.findings)
+    return inspection._replace(verdict=verdict, found=found)
 
 
 def read_with_layout(path: Path, vehicle: str, choice: LogChoice = ONLY_ONE) -> FlightLog:

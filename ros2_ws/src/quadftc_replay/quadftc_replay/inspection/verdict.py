@@ -99,6 +99,16 @@ class Moment(_Strict):
     text: str
 
 
+class Level(_Strict):
+    """A level of false alarms that was asked for, and what supports it."""
+
+    asked: str
+    threshold: float = Field(description="findings count above this probability")
+    rate_per_h: float = Field(description="flights with a false finding an hour, at most, of healthy ones")
+    flights: int = Field(description="healthy flights that it was calibrated on")
+    hours: float = Field(description="how long they last together")
+
+
 class Verdict(_Strict):
     """What is said of a log."""
 
@@ -113,10 +123,12 @@ class Verdict(_Strict):
     )
     healthy: bool = Field(description="whether the outcome is healthy")
     sentence: str
+    level: Level | None = Field(description="of false alarms; null: none was asked for")
     findings: tuple[Finding, ...] = Field(description="the earliest cause first; doubtful ones last")
     ending: Ending
     timeline: tuple[Moment, ...] = Field(
-        description="findings, what followed from them, how it ended, and what the autopilot said, in order"
+        description="findings, those below the level that was asked for, what followed from them, how it"
+        " ended, and what the autopilot said, in order"
     )
     not_judged: tuple[NotJudged, ...]
     judged: tuple[str, ...] = Field(description="components that were tested")

@@ -14,6 +14,7 @@ from quadftc_replay.inspection.limits import limit_moments
 from quadftc_replay.inspection.verdict import (
     VERSION,
     Finding,
+    Level,
     Model,
     Moment,
     NotJudged,
@@ -26,6 +27,7 @@ from quadftc_replay.inspection.verdict import Ending as SaidEnding
 
 REQUIRED = ("gyro", "accelerometer", "attitude", "rotor", "battery")  # what can bring a vehicle down
 SENTENCE_FINDINGS = 3  # findings that the sentence names
+BELOW = "below the level that was asked for"
 PLAIN = ("in flight", "landed")  # endings that go without saying
 # how a format begins, or a vehicle of it: what to set so that all can be judged
 ADVICE = {
@@ -60,6 +62,7 @@ def make_verdict(
         outcome=outcome,
         healthy=outcome == "healthy",
         sentence=summarise(flight, outcome, findings, judged, missing, ending),
+        level=None,
         findings=tuple(findings),
         ending=SaidEnding(
             kind=ending.kind, time_s=ending.time, impact_s=ending.impact, sentence=ending.sentence
@@ -71,6 +74,29 @@ def make_verdict(
         advice=() if outcome != "not enough to say" or not _lacks(judged) else (advice_for(log),),
         notes=tuple(_notes(flight)),
     )
+
+
+def apply_level(verdict: Verdict, flight: Flight, level: Level) -> Verdict:
+    """Move findings below a level to the timeline; a flight that has such findings alone is not healthy."""
+    kept = tuple(each for each in verdict.findings if each.probability > level.threshold)
+    below = [_describe(each) for each in verdict.findings if each not in kept]
+    if not below:
+        return verdict.model_copy(update={"level": level})
+    outcome: Outcome = "fault" if kept else "not enough to say"
+    doubtful = f"{len(below)} finding{'s are' if len(below) > 1 else ' is'} {BELOW}, {level.asked}"
+    said = summarise(flight, outcome, kept, verdict.judged, verdict.not_judged, verdict.ending, doubtful)
+    changed = {
+        "level": level,
+        "outcome": outcome,
+        "healthy": False,
+        "findings": kept,
+        "sentence": said,
+        "timeline": tuple(
+            each.model_copy(update={"text": f"{BELOW}: {each.text}"}) if each.text in below else each
+            for each in verdict.timeline
+        ),
+    }
+    return verdict.model_copy(update=changed)
 
 
 def _lacks(judged: Sequence[str]) -> list[str]:
@@ -93,9 +119,10 @@ def summarise(
     findings: Sequence[Finding],
     judged: Sequence[str],
     missing: Sequence[NotJudged],
-    ending: Ending,
+    ending: Ending | SaidEnding,
+    doubtful: str = "",
 ) -> str:
-    """Say the verdict in one sentence, what matters most first."""
+    """Say the verdict in one sentence, what matters most first; ``doubtful`` tells of findings left out."""
     ended = "" if ending.kind in PLAIN else ending.sentence
     if outcome == "fault":
         parts = [_describe(each) for each in findings[:SENTENCE_FINDINGS]]
@@ -103,22 +130,27 @@ def summarise(
         parts += [f"{more} more finding{'s' if more > 1 else ''}"] if more > 0 else []
         text = join(parts) + (f"; then: {ended}" if ended else "")
         text += f"; the log is not whole ({flight.log.incomplete})" if flight.log.incomplete else ""
+        text += f"; {doubtful}" if doubtful else ""
     elif outcome == "healthy":
         all_of_it = f"{join([*REQUIRED])} were judged over the whole flight, {flight.duration:.0f} s"
         text = f"{ended}; no fault found: {all_of_it}" if ended else f"No fault found: {all_of_it}"
     else:
-        text = _why_not(flight, judged, missing, ended)
+        text = _why_not(flight, judged, missing, ended, doubtful)
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _why_not(flight: Flight, judged: Sequence[str], missing: Sequence[NotJudged], ended: str) -> str:
+def _why_not(
+    flight: Flight, judged: Sequence[str], missing: Sequence[NotJudged], ended: str, doubtful: str
+) -> str:
     """Say what could not be judged."""
     log, reported = flight.log, reported_failure(flight)
     said = f'the autopilot reports "{reported.text}" at {reported.time:.1f} s' if reported else ""
     cut = f"the log is not whole ({log.incomplete})" if log.incomplete else ""
     lacking = _lacks(judged)
     reasons = join([f"{name} ({_reason(name, missing)})" for name in lacking])
-    open_ = join(list(filter(None, [said, cut, f"{reasons} could not be judged" if reasons else ""])))
+    open_ = join(
+        list(filter(None, [doubtful, said, cut, f"{reasons} could not be judged" if reasons else ""]))
+    )
     parts = [ended, f"not enough to say: {open_}" if open_ else "the cause is not known"]
     parts.append(f"no fault found in {join(list(judged))}" if judged else "")
     return "; ".join(filter(None, parts))

@@ -1,0 +1,240 @@
+"""How often `quadftc diagnose` is wrong: on healthy flights, simulated and real, and of all it finds.
+
+    python -m quadftc_tools.study.false_alarms [--flights 500] [--faulty 150] [--seed 60000] [--data DATA]
+        [--docs docs] [--write]
+
+Random vehicles fly in free flight. Each flight is written as ArduPilot and as PX4 log it by default, read
+back and judged. As many more have a fault. The tables go into docs/diagnose.md, or onto the screen without
+``--docs``. ``--write`` stores the healthy flights for ``--false-alarms``, with some that tests fly again.
+Nothing was tuned on flights from seed 60000 on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadftc_cli.screen import say
+from quadftc_replay.calibration import FLIGHTS
+from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log
+from quadftc_replay.inspection.inspect import inspect
+from quadftc_replay.inspection.overlay import overlay_faults
+from quadftc_replay.inspection.verdict import Finding, Verdict
+from quadftc_replay.overlay import faults_from
+from quadftc_replay.readers import read_log
+from quadftc_replay.writers import WRITERS
+from quadftc_tools.study.intervals import poisson_interval, share_interval
+from quadftc_tools.study.page import markdown, publish_tables
+from quadftc_tools.study.random_flights import Loss
+from quadftc_tools.study.simulated_logs import fly_log
+
+AUTOPILOTS = {"ardupilot": "ArduPilot", "px4": "PX4"}  # writer -> how the names of its formats begin
+SHORTEST, LONGEST = 30.0, 150.0  # s
+HOUR = 3600.0  # s
+NEAR = 1.0  # s; from a fault to the onset of a finding that is true
+BINS = (0.0, 0.75, 0.9, 0.95, 0.99, 1.0)  # of probability
+AGAIN = 4  # flights of each kind that tests fly again
+# logs of ../shared/data that are healthy as far as anybody knows, by what they are of
+HEALTHY = {
+    "ArduCopter in simulation (SITL)": ("ardupilot/delorean/00000004.BIN", "ardupilot/adgfuzz/*.BIN"),
+    "PX4 (ULog)": ("px4/pyulog/*.ulg",),
+    "Crazyflie (uSD)": ("crazyflie/sysid/log*", "crazyflie/crazyswarm2/log*", "crazyflie/crazypad/*normal*"),
+    "IMU moved by hand (bag)": ("broad/*/*.mcap",),
+}
+TRUTH = "ardupilot/sitl"  # of these a file says which are healthy
+CHANNELS = {  # what is put on a log: kind, channel, axes, sizes, unit
+    "gyro": ("bias", ("x", "y", "z"), (0.03, 1.0), "rad/s"),
+    "accelerometer": ("bias", ("x", "y", "z"), (0.5, 6.0), "m/s^2"),
+    "attitude": ("bias", ("roll", "pitch", "yaw"), (2.0, 20.0), "deg"),
+}
+
+
+class Truth(NamedTuple):
+    """What fails in a flight."""
+
+    component: str
+    element: str
+    onset: float  # s
+
+    def is_told_by(self, finding: Finding) -> bool:
+        """Whether a finding tells of it."""
+        same = (finding.component, finding.element) == (self.component, self.element)
+        return same and abs(finding.onset_s - self.onset) <= NEAR
+
+
+class Judged(NamedTuple):
+    """A flight as it was judged."""
+
+    seed: int
+    group: str  # vehicle, or what logs are of
+    autopilot: str
+    truth: Truth | None  # None: healthy
+    verdict: Verdict
+
+    @property
+    def score(self) -> float:
+        """Largest probability of a finding; 0 without one."""
+        return max((each.probability for each in self.verdict.findings), default=0.0)
+
+    @property
+    def hours(self) -> float:
+        """Time in flight [h]."""
+        return self.verdict.flight_s / HOUR
+
+
+def judge_seed(seed: int, is_faulty: bool = False) -> Iterator[Judged]:
+    """Fly a seed, healthy or with a fault, and judge each log; a sensor fails in each by itself."""
+    rng = np.random.default_rng([seed, 1])
+    seconds = rng.uniform(SHORTEST, LONGEST)
+    onset = rng.uniform(0.2, 0.8) * seconds
+    channel = str(rng.choice((*CHANNELS, "rotor")))
+    loss = None
+    if is_faulty and channel == "rotor":
+        loss = Loss(rng.random(), rng.uniform(0.15, 1.0), onset)
+    flight, log = fly_log(seed, seconds, loss)
+    with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+        for name, write in WRITERS.items():
+            path = Path(folder, name)
+            write(log, path)
+            read, truth = read_log(path), None
+            if loss is not None:
+                truth = Truth("rotor", str(flight.rotor), onset)
+            elif is_faulty:
+                kind, axes, (low, high), unit = CHANNELS[channel]
+                axis = str(rng.choice(axes))
+                size = low * (high / low) ** rng.random() * float(rng.choice((-1.0, 1.0)))
+                spec = f"{kind} channel={channel} axes={axis} value={size:.4g}{unit} start={onset:.3f}s"
+                read = overlay_faults(read, faults_from((), (spec,)), seed)
+                truth = Truth(channel, axis, onset)
+            yield Judged(seed, flight.base, name, truth, inspect(read).verdict)
+
+
+def judge_real(data: Path) -> Iterator[Judged]:
+    """Judge the healthy logs below a folder."""
+    truths: Mapping[str, Any] = json.loads((data / TRUTH / "truth.json").read_text(encoding="utf-8"))
+    said = tuple(f"{TRUTH}/{name}" for name, truth in truths.items() if truth["healthy"])
+    for number, (group, patterns) in enumerate(HEALTHY.items()):
+        names = (*patterns, *said) if number == 0 else patterns
+        for path in sorted(path for name in names for path in data.glob(name)):
+            yield Judged(0, group, "", None, diagnose_log(path, DiagnosisOptions()).verdict)
+
+
+def healthy_table(judged: Sequence[Judged], group: str) -> str:
+    """Findings of healthy flights, by what was flown, with exact intervals."""
+    rows = dict[tuple[str, str], list[Judged]]()
+    for each in judged:
+        for key in ((each.autopilot, each.group), (each.autopilot, "all")):
+            rows.setdefault(key, []).append(each)
+    headings = (group, "flights", "hours", "with a finding", "share (95 %)", "findings", "an hour (95 %)")
+    return markdown(headings, (_healthy_row(*key, found) for key, found in sorted(rows.items())))
+
+
+def _healthy_row(autopilot: str, group: str, judged: Sequence[Judged]) -> Sequence[str]:
+    hours, flights = sum(each.hours for each in judged), len(judged)
+    wrong, findings = (
+        sum(each.score > 0.0 for each in judged),
+        sum(len(each.verdict.findings) for each in judged),
+    )
+    low, high = share_interval(wrong, flights)
+    least, most = poisson_interval(findings)
+    name = f"{AUTOPILOTS.get(autopilot, '')} {group}".strip()
+    share = f"{100.0 * wrong / flights:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
+    rate = f"{findings / hours:.2g} ({least / hours:.2g} to {most / hours:.2g})"
+    return name, str(flights), f"{hours:.2f}", str(wrong), share, str(findings), rate
+
+
+def reliability_table(judged: Iterable[Judged]) -> str:
+    """Of all findings, by their probability, the share that is true."""
+    held = defaultdict[int, list[bool]](list)
+    for each in judged:
+        for finding in each.verdict.findings:
+            number = int(np.searchsorted(BINS, finding.probability, side="right"))
+            held[min(number, len(BINS) - 1)].append(each.truth is not None and each.truth.is_told_by(finding))
+    rows: list[Sequence[str]] = []
+    for number, found in sorted(held.items()):
+        low, high = share_interval(sum(found), len(found))
+        span = f"{BINS[number - 1]:g} to {BINS[number]:g}"
+        shares = f"{100.0 * sum(found) / len(found):.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+        rows.append((span, str(len(found)), str(sum(found)), shares))
+    return markdown(("probability", "findings", "true", "share (95 %)"), rows)
+
+
+def stored(healthy: Sequence[Judged], faulty: Sequence[Judged]) -> dict[str, Any]:
+    """What `quadftc_replay.calibration` reads, and flights that tests fly again: nearest to 0.9."""
+    autopilots = dict[str, Any]()
+    for name, format_name in AUTOPILOTS.items():
+        flown = [each for each in healthy if each.autopilot == name]
+        scores = sorted((round(each.score, 4) for each in flown if each.score), reverse=True)
+        hours = round(sum(each.hours for each in flown), 3)
+        autopilots[format_name] = {"flights": len(flown), "hours": hours, "scores": scores}
+    again = [
+        each
+        for kind in (healthy, faulty)
+        for each in sorted(kind, key=lambda judged: abs(judged.score - 0.9))[:AGAIN]
+    ]
+    commit = subprocess.run(("git", "rev-parse", "HEAD"), capture_output=True, text=True, check=True).stdout
+    return {
+        "judge": commit.strip(),
+        "first_seed": min(each.seed for each in healthy),
+        "vehicles": sorted({each.group for each in healthy}),
+        "autopilots": autopilots,
+        "again": [
+            {
+                "seed": each.seed,
+                "autopilot": each.autopilot,
+                "is_faulty": each.truth is not None,
+                "score": round(each.score, 4),
+            }
+            for each in again
+        ],
+    }
+
+
+def _told(judged: Iterable[Judged]) -> Iterator[Judged]:
+    """Say what is wrong, as it comes."""
+    for each in judged:
+        for finding in each.verdict.findings:
+            if each.truth is None or not each.truth.is_told_by(finding):
+                what = f"{finding.name} {finding.kind} at {finding.onset_s:.1f} s, {finding.probability:.3f}"
+                say(
+                    f"wrong: seed {each.seed}, {each.autopilot}, {each.group}, {each.truth}: {what}",
+                    stderr=True,
+                )
+        yield each
+
+
+def main() -> None:
+    """Fly, judge, and print or store."""
+    parser = argparse.ArgumentParser(description="Measure false findings of quadftc diagnose.")
+    parser.add_argument("--flights", type=int, default=500, help="healthy ones")
+    parser.add_argument("--faulty", type=int, default=150, help="flights with a fault")
+    parser.add_argument("--seed", type=int, default=60000, help="of the first flight")
+    parser.add_argument("--data", type=Path, help="folder of real logs")
+    parser.add_argument("--docs", type=Path, help="directory of diagnose.md")
+    parser.add_argument("--write", action="store_true", help="store the healthy flights for --false-alarms")
+    options = parser.parse_args()
+    middle = options.seed + options.flights
+    healthy = [each for seed in range(options.seed, middle) for each in _told(judge_seed(seed))]
+    last = middle + options.faulty
+    faulty = [each for seed in range(middle, last) for each in _told(judge_seed(seed, is_faulty=True))]
+    tables = {
+        "false-alarms-simulated": healthy_table(healthy, "simulated"),
+        "reliability": reliability_table((*healthy, *faulty)),
+    }
+    if options.data:
+        tables["false-alarms-real"] = healthy_table([*judge_real(options.data)], "real")
+    publish_tables(tables, options.docs and options.docs / "diagnose.md")
+    if options.write:
+        FLIGHTS.write_text(json.dumps(stored(healthy, faulty), indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
