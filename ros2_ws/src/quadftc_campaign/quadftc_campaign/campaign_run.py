@@ -46,6 +46,7 @@ class Extent(NamedTuple):
     chunks: int
     missing: int
     samples: int  # of the chunks that are missing
+    damaged: tuple[str, ...]  # one line each: a chunk that could not be used, and is missing now
 
 
 @contextlib.contextmanager
@@ -75,7 +76,7 @@ class CampaignRun:
 
         A `CampaignError` refuses a directory with another campaign, or with this one if it is not to be
         resumed. The first flight of each chunk is built: better an error now than when hours are over. So are
-        its laws, in C, for all workers of this machine.
+        its laws, in C, for all workers of this machine. A chunk that cannot be used is removed.
         """
         first = [flight_scenario(self.campaign, numbers[0], variant) for numbers, variant in self._chunks]
         directory, path = self._directory, self._directory / MANIFEST
@@ -87,13 +88,29 @@ class CampaignRun:
                 raise CampaignError(f"{directory}: is not empty, and holds no campaign; {ANOTHER}")
             (directory / CHUNKS).mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+            damaged = tuple(self._remove_damaged())
         missing = self._missing
         scenarios = [first[place] for place in missing]
         if self.campaign.engine == "c":
             compile_laws(loop for scenario in scenarios for loop in _loops_of(self.campaign, scenario))
         counts = (sample_count(scenario.duration, scenario.rate) for scenario in scenarios)
         sizes = (len(self._chunks[place][0]) for place in missing)
-        return Extent(len(self._chunks), len(missing), sum(map(operator.mul, sizes, counts)))
+        return Extent(len(self._chunks), len(missing), sum(map(operator.mul, sizes, counts)), damaged)
+
+    def _remove_damaged(self) -> Iterator[str]:
+        """Remove chunks that are no tables or hold other flights than they should; say which, and why."""
+        for path, (numbers, variant) in zip(self._paths, self._chunks, strict=True):
+            if not path.exists():
+                continue
+            try:
+                rows = pl.read_parquet(path)
+                found = {*rows["flight"]}, {*rows["variant"]}
+                why = "" if found == ({*numbers}, {variant.name}) else "holds other flights"
+            except Exception as error:  # whatever the library makes of bytes that are no table
+                why = str(error).partition("\n")[0] or type(error).__name__
+            if why:
+                path.unlink()
+                yield f"{path}: {why}; its {len(numbers)} flights are flown again"
 
     def fly(
         self,

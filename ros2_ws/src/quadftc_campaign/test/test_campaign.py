@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -481,3 +482,25 @@ def test_faults_of_several_sensors_are_told_apart_and_confusions_add_up(campaign
     assert counts == {"gyro step": [2, 1, 1], "step": [1, 0, 0], "all": [3, 1, 1]}
     assert found["lost"] == 1
     assert found["confusion_s"]["gyro"]["attitude"] == 6.0
+
+
+@pytest.mark.parametrize("harm", ["cut", "no table", "of another chunk"])
+@pytest.mark.usefixtures("in_this_process")
+def test_a_damaged_chunk_is_named_and_flown_again(alike, tmp_path, harm):
+    run = CampaignRun(alike, tmp_path / "out", SIZE)
+    run.open(resume=False)
+    run.fly(None, 1, lambda samples: None)
+    expected, _ = run.finish()
+    first, second, *_ = sorted((tmp_path / "out" / "chunks").iterdir())
+    content = {
+        "cut": second.read_bytes()[:-100],
+        "no table": b"x" * 500,
+        "of another chunk": first.read_bytes(),
+    }
+    second.write_bytes(content[harm])
+    again = CampaignRun(alike, tmp_path / "out", SIZE)
+    extent = again.open(resume=True)
+    assert extent.missing == 1
+    assert re.fullmatch(rf"{re.escape(str(second))}: .+; its \d+ flights are flown again", extent.damaged[0])
+    again.fly(None, 1, lambda samples: None)
+    assert again.finish()[0].equals(expected)

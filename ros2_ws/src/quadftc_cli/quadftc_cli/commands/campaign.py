@@ -17,7 +17,7 @@ from typer import Argument, Option
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import INTERRUPTED
 from quadftc_cli.commands.options import JunitOption, SchedulerOption, WorkersOption, workers_here
-from quadftc_cli.screen import Bars, console
+from quadftc_cli.screen import Bars, console, warn
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
@@ -103,6 +103,7 @@ def _fly_all(
     screen = console()
     flown = CampaignRun(loaded, directory)
     extent = flown.open(resume)
+    warn(extent.damaged)
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
     how = f"by {loaded.engine}, {loaded.flown_precision}, on {where}"
     extents = f"{loaded.flights} flights x {len(loaded.variants)} variants"
