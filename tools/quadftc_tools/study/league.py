@@ -2,17 +2,17 @@
 
     python -m quadftc_tools.study.league DATA [--docs docs]
 
-DATA holds recordings in the folders ``broad/``, ``crazyflie/*/``, ``px4/``; scenarios of this repository
-are flown as well. ``quadftc diagnose`` takes all of them. Every registered fault observer that says what is
-faulty takes those with an attitude: the begin of healthy logs, and a window around each fault. Without
+DATA holds recordings in the folders ``ardupilot/``, ``broad/``, ``crazyflie/``, ``px4/``; scenarios of this
+repository are flown as well. ``quadftc diagnose`` takes all of them, and every registered fault observer that
+says what is faulty those with an attitude: healthy logs as they are, and a window around each fault. Without
 ``--docs`` the tables are printed.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import itertools
+import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_bags.bag import BagError
 from quadftc_cli.commands import BAD_INPUT, GOOD
 from quadftc_cli.screen import say
 from quadftc_fdi.fault_observer import FaultObserver, fault_observers
@@ -33,23 +34,24 @@ from quadftc_replay.imu_recording import Recording, torque_before
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
-from quadftc_replay.inspection.verdict import unjudged
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.plan import FROM_GYRO
-from quadftc_replay.readers import read_log
+from quadftc_tools.study.intervals import poisson_interval, share_interval
 from quadftc_tools.study.league_flights import FLOWN_FAULTY, FLOWN_HEALTHY, Truth, fly_log, truths
+from quadftc_tools.study.league_logs import cut, read_healthy, read_labels
+from quadftc_tools.study.league_others import OTHERS_HEADINGS, PX4_HEADINGS, other_rows, px4_rows
 from quadftc_tools.study.numbers import write_number
 from quadftc_tools.study.page import NOTHING, has_detector, markdown, publish_tables
 
 PAGE = "league.md"
-FAULTY = ("cut", "tape", "motor_failure", "brownout")  # in the names of logs that are not healthy
-VIOLENT = ("log113", "log119", "log15")  # above 250 deg/s
 LASTS, EDGE = 2.0, 3.0  # s; of an overlaid fault, and from the begin of the flight
-WINDOW, HEALTHY = 3.0, 20.0  # s; that an observer sees beside a fault, and of a healthy log
+WINDOW = 3.0  # s; that an observer sees before and after a fault
 SEEN, CLOSE = 0.25, 0.05  # s; from the true onset to one that is named: of a detection, of an isolation
-REPEATS, MOST = 6, 2  # of each case on each log; logs of a data set that an observer gets
+SAMPLES = 2.0  # of a slow sensor, by which an onset is dated no better
+REPEATS = 6  # of each case on each log: every axis, both signs
 VEHICLE = "crazyflie_2x"  # of observers, where the log says none
 SIMULATED = "simulation"
+HEALTHY_HEADINGS = ("who", "logs", "number", "in flight", "findings", "per hour")
 AXES = {"gyro": "xyz", "accelerometer": "xyz", "attitude": ("roll", "pitch", "yaw")}
 CASES = {
     "gyro step 0.2 rad/s": ("gyro", "bias axis={axis} value={sign}0.2"),
@@ -67,6 +69,23 @@ class Named(NamedTuple):
     component: str
     element: str
     onset: float  # s
+
+
+class Put(NamedTuple):
+    """A fault that is put on a log."""
+
+    element: str
+    spec: str
+    onset: float  # s
+    close: float  # s; how near to it an isolation has to be
+
+
+class Watch(NamedTuple):
+    """Healthy logs that somebody judged."""
+
+    logs: int
+    seconds: float
+    found: int
 
 
 Judge = Callable[[FlightLog], list[Named]]
@@ -134,6 +153,8 @@ def _stamps(time: NDArray[np.float64]) -> NDArray[np.int64]:
 def _nearest(
     time: NDArray[np.float64], sensor: Signal, reach: float
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    if not len(sensor):
+        return np.zeros((len(time), sensor.value.shape[1])), np.zeros(len(time), np.bool_)
     after = np.clip(np.searchsorted(sensor.time, time), 1, len(sensor) - 1)
     nearer = after - (time - sensor.time[after - 1] < sensor.time[after] - time)
     value = sensor.value[nearer]
@@ -141,36 +162,23 @@ def _nearest(
     return np.nan_to_num(value), there
 
 
-def cut(log: FlightLog, start: float, end: float) -> FlightLog:
-    """Keep what lies between two times [s]."""
-
-    def part(value: Any) -> Any:
-        if not isinstance(value, Signal):
-            return value
-        rows = slice(*np.searchsorted(value.time, (start, end)))
-        return Signal(value.time[rows], value.value[rows])
-
-    parts = {entry.name: part(getattr(log, entry.name)) for entry in dataclasses.fields(log)}
-    for name in ("gyros", "accelerometers"):
-        parts[name] = {key: part(each) for key, each in parts[name].items()}
-    return dataclasses.replace(log, **parts)
-
-
-def faults_on(log: FlightLog, title: str, repeats: int) -> Iterator[tuple[str, str, float]]:
-    """Element, specification and onset of each fault of a case on a log; none if it lacks the sensor."""
+def faults_on(log: FlightLog, title: str) -> Iterator[Put]:
+    """Faults of a case on a log; none if it lacks the sensor."""
     channel, spec = CASES[title]
     attitude = log.attitude if log.attitude_from_gyro is not True else None
-    there = {"gyro": log.gyros, "accelerometer": log.accelerometers, "attitude": attitude}
+    gyro, force = (next(iter(sensors.values()), None) for sensors in (log.gyros, log.accelerometers))
+    sensor = {"gyro": gyro, "accelerometer": force, "attitude": attitude}[channel]
     flight = max(prepare(log).intervals, key=lambda each: each.end - each.start)
     room = flight.start + min(EDGE, 0.2 * (flight.end - flight.start)), flight.end - LASTS
-    if not there[channel] or room[1] <= room[0]:
+    if sensor is None or room[1] <= room[0]:
         return
+    close = max(CLOSE, SAMPLES / sensor.rate)
     rng = np.random.default_rng([zlib.crc32(log.path.name.encode()), zlib.crc32(title.encode())])
     turns = itertools.cycle(itertools.product(("", "-"), AXES[channel]))
-    for sign, axis in itertools.islice(turns, repeats):
+    for sign, axis in itertools.islice(turns, REPEATS):
         onset = float(rng.uniform(*room))
         what = f"{spec.format(axis=axis, sign=sign)} channel={channel}"
-        yield axis, f"{what} start={onset:.6f}s duration={LASTS:g}s", onset
+        yield Put(axis, f"{what} start={onset:.6f}s duration={LASTS:g}s", onset, close)
 
 
 def around(log: FlightLog, onset: float) -> FlightLog:
@@ -179,50 +187,41 @@ def around(log: FlightLog, onset: float) -> FlightLog:
 
 
 def case_cell(judge: Judge, logs: Sequence[FlightLog], title: str, is_offline: bool) -> str:
-    """Share of the faults of a case that are detected, and isolated."""
+    """Shares of the faults of a case that are detected, and isolated, with their intervals [%]."""
     cases, detected, isolated = 0, 0, 0
     for log in logs:
-        for element, spec, onset in faults_on(log, title, REPEATS):
-            faulty = overlay_faults(log, faults_from((), [spec]))
-            named = judge(faulty if is_offline else around(faulty, onset))
-            right = [each for each in named if each[:2] == (CASES[title][0], element)]
+        for fault in faults_on(log, title):
+            faulty = overlay_faults(log, faults_from((), [fault.spec]))
+            try:
+                named = judge(faulty if is_offline else around(faulty, fault.onset))
+            except ValueError as error:  # who fails names nothing
+                say(f"{log.path.name}, {fault.spec}: {' '.join(str(error).split())}", stderr=True)
+                named = []
+            right = [each for each in named if each[:2] == (CASES[title][0], fault.element)]
             cases += 1
-            detected += any(abs(each.onset - onset) < SEEN for each in named)
-            isolated += any(abs(each.onset - onset) < CLOSE for each in right)
-    if not cases:
-        return NOTHING
-    return f"{100.0 * detected / cases:.0f} / {100.0 * isolated / cases:.0f} % of {cases}"
+            detected += any(abs(each.onset - fault.onset) < SEEN for each in named)
+            isolated += any(abs(each.onset - fault.onset) < fault.close for each in right)
+    return f"{_share(detected, cases)} / {_share(isolated, cases)} of {cases}" if cases else NOTHING
 
 
-def read_groups(data: Path) -> dict[str, list[FlightLog]]:
-    """All logs, by data set."""
-    paths = [*data.glob("broad/*"), *data.glob("crazyflie/*/*"), *data.glob("px4/*")]
-    groups: dict[str, list[FlightLog]] = {}
-    for path in sorted(path for path in paths if path.name != "LICENSE"):
-        name = f"{path.parent.name}, violent" if path.name in VIOLENT else path.parent.name
-        groups.setdefault(name, []).append(read_log(path))
-    if not groups:
-        raise ValueError(f"{data}: no logs; expected broad/, crazyflie/*/ or px4/ there")
-    return groups
+def _share(hits: int, cases: int) -> str:
+    low, high = share_interval(hits, cases)
+    return f"{100.0 * hits / cases:.0f} [{100.0 * low:.0f}, {100.0 * high:.0f}]"
 
 
-def healthy_cells(judge: Judge, logs: Sequence[FlightLog], is_offline: bool) -> list[str]:
-    """How long healthy logs are, what is found in them, and how often an hour."""
-    flown = [prepare(log) for log in logs]
-    parts = [each.log if is_offline else cut(each.log, 0.0, HEALTHY) for each in flown]
-    seconds = sum(each.duration if is_offline else min(each.duration, HEALTHY) for each in flown)
-    found = sum(len(judge(part)) for part in parts)
-    return [str(len(logs)), f"{seconds:.0f} s", str(found), write_number(3600.0 * found / seconds)]
+def watch(judge: Judge, logs: Sequence[FlightLog]) -> Watch:
+    """Count what is found in healthy logs."""
+    return Watch(len(logs), sum(prepare(log).duration for log in logs), sum(len(judge(log)) for log in logs))
 
 
-def verdict_rows(groups: Mapping[str, Sequence[FlightLog]]) -> Iterator[list[str]]:
-    """What `quadftc diagnose` says of each log as it is."""
-    for group, logs in groups.items():
-        for log in logs:
-            said = inspect(log).verdict
-            missing = ", ".join(unjudged(said.judged, said.not_judged)) or NOTHING
-            sentence = said.sentence.partition("; ")[0].rstrip(".")
-            yield [group, log.path.name, f"{said.flight_s:.0f} s", sentence, missing]
+def healthy_rows(who: str, watches: Mapping[str, Watch]) -> Iterator[list[str]]:
+    """How long healthy logs are, what is found in them, and how often an hour; at last for all recordings."""
+    recorded = [each for group, each in watches.items() if group != SIMULATED]
+    total = Watch(*(sum(column) for column in zip(*recorded, strict=True)))
+    for group, (logs, seconds, found) in {**watches, "all recordings": total}.items():
+        low, high = (write_number(3600.0 * bound / seconds) for bound in poisson_interval(found))
+        rate = f"{write_number(3600.0 * found / seconds)} [{low}, {high}]"
+        yield [who, group, str(logs), f"{seconds:.0f} s", str(found), rate]
 
 
 def truth_cell(named: Sequence[Named], truth: Truth) -> str:
@@ -255,28 +254,30 @@ def truth_rows(
 
 def make(data: Path) -> dict[str, str]:
     """Run all, and return the tables."""
-    groups = read_groups(data)
+    labels = read_labels(data)
+    groups = read_healthy(data, labels)
     groups[SIMULATED] = [fly_log(name, "faults=[]")[0] for name in FLOWN_HEALTHY]
     flown = [(log, list(truths(scenario))) for log, scenario in map(fly_log, FLOWN_FAULTY)]
     judges: dict[str, Judge] = {"diagnose": judge_offline}
     for name in sorted(filter(has_detector, fault_observers.names())):
         judges[name] = judge_by(fault_observers.get(name))
-    healthy_rows, fault_rows = list[list[str]](), list[list[str]]()
-    for (who, judge), (group, logs) in itertools.product(judges.items(), groups.items()):
+    of_healthy, of_faults = list[list[str]](), list[list[str]]()
+    for who, judge in judges.items():
         is_offline = judge is judge_offline
-        healthy = [log for log in logs if not any(word in log.path.name for word in FAULTY)]
-        known = [log for log in healthy if log.attitude and log.gyros]
-        if taken := healthy if is_offline else known[:MOST]:
-            healthy_rows.append([who, group, *healthy_cells(judge, taken, is_offline)])
-            cells = [case_cell(judge, taken, title, is_offline) for title in CASES]
-            fault_rows += [[who, group, *cells]] if set(cells) != {NOTHING} else []
-            say(f"{who}: {group}", stderr=True)
-    of_verdicts = ["data set", "log", "in flight", "verdict", "could not be judged"]
-    of_healthy = ["who", "data set", "healthy logs", "judged", "findings", "per hour"]
+        watches = dict[str, Watch]()
+        for group, logs in groups.items():
+            taken = [log for log in logs if is_offline or (log.attitude and log.gyros)]
+            if taken:
+                watches[group] = watch(judge, taken)
+                cells = [case_cell(judge, taken, title, is_offline) for title in CASES]
+                of_faults += [[who, group, *cells]] if set(cells) != {NOTHING} else []
+                say(f"{who}: {group}", stderr=True)
+        of_healthy += healthy_rows(who, watches)
     return {
-        "league-verdicts": markdown(of_verdicts, verdict_rows(groups)),
-        "league-healthy": markdown(of_healthy, healthy_rows),
-        "league-faults": markdown(["who", "data set", *CASES], fault_rows),
+        "league-healthy": markdown(HEALTHY_HEADINGS, of_healthy),
+        "league-faults": markdown(["who", "logs", *CASES], of_faults),
+        "league-others": markdown(OTHERS_HEADINGS, other_rows(labels)),
+        "league-px4": markdown(PX4_HEADINGS, px4_rows(data)),
         "league-scenarios": markdown(["fault", *judges], truth_rows(judges, flown)),
     }
 
@@ -289,9 +290,10 @@ def main() -> int:
     options = parser.parse_args()
     try:
         publish_tables(make(options.data), options.docs and options.docs / PAGE)
-    except (ValueError, OSError) as error:
+    except (BagError, ValueError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return BAD_INPUT
+    say(f"processor time: {sum(os.times()[:4]):.0f} s", stderr=True)
     return GOOD
 
 

@@ -1,0 +1,81 @@
+"""Recordings for the league: which flights are healthy, which are labelled as faulty, and parts of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_replay.inspection.diagnosis import read_with_layout
+
+RECORDINGS = ("ardupilot/*/*.BIN", "broad/*", "crazyflie/*/*", "px4/**/*.ulg")
+LABELLED = "ardupilot/sitl"
+# in the names of logs that are not healthy; the controller of DeLorean's 00000004 flies by a position that
+# leaves the estimator's by 2.000 m on each axis from 9.1 s on
+FAULTY = ("cut", "tape", "motor_failure", "brownout", "00000004")
+ATTACK = "Attack Started"  # DeLorean's words; its flights are healthy until then
+SLOW = 50.0  # Hz; of the gyro: default rates of autopilots are below
+HEALTHY = "none"  # component of a label
+
+
+class Label(BaseModel):
+    """What is true of a flight."""
+
+    component: str
+    element: str | None
+    onset_s: float | None  # since the first sample of the IMU
+
+
+def read_labels(data: Path) -> dict[Path, Label]:
+    """Read the labels of simulated ArduCopter flights; a ValueError says which entry is wrong."""
+    folder = data / LABELLED
+    path = folder / "truth.json"
+    try:
+        labels = TypeAdapter(dict[str, Label]).validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    return {folder / name: label for name, label in labels.items()}
+
+
+def read_healthy(data: Path, labels: Mapping[Path, Label]) -> dict[str, list[FlightLog]]:
+    """Read the healthy logs, by format; ValueError if there are none."""
+    paths = sorted(path for pattern in RECORDINGS for path in data.glob(pattern))
+    groups: dict[str, list[FlightLog]] = {}
+    for path in paths:
+        is_faulty = path in labels and labels[path].component != HEALTHY
+        if path.name == "LICENSE" or is_faulty or any(word in path.name for word in FAULTY):
+            continue
+        log = read_with_layout(path, "")
+        attacks = [event.time for event in log.events if ATTACK in event.text]
+        groups.setdefault(_group(log), []).append(cut(log, 0.0, attacks[0]) if attacks else log)
+    if not groups:
+        raise ValueError(f"{data}: no logs; expected {', '.join(RECORDINGS)} there")
+    return groups
+
+
+def _group(log: FlightLog) -> str:
+    gyro = next(iter(log.gyros.values()), None)
+    return f"{log.format}, default rates" if gyro is not None and gyro.rate < SLOW else log.format
+
+
+def cut(log: FlightLog, start: float, end: float) -> FlightLog:
+    """Keep what lies between two times [s]."""
+
+    def part(value: Any) -> Any:
+        if isinstance(value, Signal):
+            rows = slice(*np.searchsorted(value.time, (start, end)))
+            return Signal(value.time[rows], value.value[rows])
+        if isinstance(value, Mapping):
+            return {name: part(each) for name, each in value.items()}  # type: ignore[reportUnknownVariableType]
+        return value
+
+    parts = {entry.name: part(getattr(log, entry.name)) for entry in dataclasses.fields(log)}
+    parts["watched"] = tuple(each._replace(signal=part(each.signal)) for each in log.watched)
+    parts["events"] = tuple(each for each in log.events if start <= each.time < end)
+    return dataclasses.replace(log, **parts)
