@@ -1,6 +1,7 @@
 """Scenario files: what is shipped loads; what is wrong is refused with file, line and key."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ from quadftc_flight.scenario import (
     with_rate,
     with_seed,
 )
+from quadftc_flight.scenario.document import read_document
 from quadftc_model.assembly import node_values
 from quadftc_sim.assembly import injector_from, simulator_from
 from quadftc_sim.fault import faults
@@ -267,7 +269,7 @@ def test_a_mistake_is_refused_with_its_line_and_key(old, new, key, what):
         ("name: x\nrate: a: b\n", "tried.yaml:2: not YAML: mapping values are not allowed here"),
         ("name: \0", "tried.yaml:1: not YAML: special characters are not allowed"),
         ("a: &a [*a]", "tried.yaml:1: a[0][0]"),
-        ("[" * 600, "tried.yaml:1: not YAML: it cannot be parsed (RecursionError)"),
+        ("[" * 600, "tried.yaml:1: not YAML: too large or too deep for a scenario"),
         (
             "a: !!python/name:os.system x",
             "tried.yaml:1: a: 'tag:yaml.org,2002:python/name:os.system' is no type",
@@ -279,6 +281,19 @@ def test_a_mistake_is_refused_with_its_line_and_key(old, new, key, what):
 def test_what_is_no_scenario_at_all_is_said_in_one_line(text, message):
     first, *_ = refusal(text)
     assert first.startswith(message)
+
+
+@pytest.mark.parametrize("text", ["a: " + "[" * 2000, "a:\n" + "- 1\n" * 60_000], ids=["deep", "long"])
+def test_a_text_is_read_up_to_the_value_that_is_too_much(text):
+    (line,) = refusal(text + "\n@ no YAML")
+    assert "too large or too deep for a scenario" in line
+
+
+def test_a_large_file_is_not_read(tmp_path):
+    path = tmp_path / "large.yaml"
+    path.write_text("#" + "x" * 50_000_000)
+    with pytest.raises(ScenarioError, match=f"^{re.escape(str(path))}: larger than 256 KiB"):
+        read_document(path)
 
 
 def test_aliases_of_aliases_do_not_fill_the_memory():

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,14 +17,11 @@ from numpy.typing import NDArray
 
 from quadftc_model.numbers import LABEL, prepared
 from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_model.small_files import read_small, read_toml
 from quadftc_model.vehicle_checks import impossible
 from quadftc_model.vehicle_table import KEYS, Problem, line_of, read_section, shortened
 from quadftc_model.wrench_set import WrenchSet, extremes, limits, wrench_set
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
@@ -245,8 +241,8 @@ def load_vehicle(name: str) -> Vehicle:
 def _located(path: Path, problem: str) -> str:
     """Put file and line of its key before what is wrong."""
     try:
-        line = line_of(path.read_text(encoding="utf-8"), problem.partition(" ")[0].rstrip(":"))
-    except ValueError:  # no UTF-8
+        line = line_of(read_small(path), problem.partition(" ")[0].rstrip(":"))
+    except ValueError:  # too large, or no UTF-8
         line = None
     return f"vehicle {path}{f':{line}' if line else ''}: {problem}"
 
@@ -267,8 +263,7 @@ def _path_of(name: str) -> Path:
 @functools.lru_cache(maxsize=64)
 def _load(path: Path, changed_ns: int) -> Vehicle:
     """Read a file; again only when it has changed, as a campaign builds thousands of flights."""
-    with path.open("rb") as file:
-        table = tomllib.load(file)
+    table = read_toml(path)
     read: dict[str, dict[str, Any]] = {}
     problems: list[Problem] = []
     for section in KEYS:

@@ -134,6 +134,18 @@ def test_file_that_is_no_text_is_refused_with_its_path(tmp_path):
         load_vehicle(str(tmp_path / "binary.toml"))
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("#" + "x" * 50_000_000, "larger than 256 KiB"), ("a = " + "[" * 100_000, "nested too deeply")],
+    ids=["large", "deep"],
+)
+def test_file_that_is_large_or_deep_is_refused_at_once(tmp_path, text, message):
+    path = tmp_path / "hostile.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"vehicle {re.escape(str(path))}: {message}"):
+        load_vehicle(str(path))
+
+
 @EVERY_VEHICLE
 def test_rotors_at_hover_speed_carry_the_weight_and_turn_nothing(name):
     vehicle = load_vehicle(name)

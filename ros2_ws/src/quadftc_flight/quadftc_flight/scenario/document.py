@@ -14,8 +14,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml.composer import Composer
+from ruamel.yaml.error import MarkedYAMLError
 
 from quadftc_model.hints import nearest
+from quadftc_model.small_files import read_small
 
 Node = Any  # a node of ruamel.yaml, which has no complete types
 Keys = tuple[str | int, ...]  # where a value is: keys and indices from the root
@@ -26,6 +29,7 @@ OVERRIDE = "override"  # begins the origin of what an assignment gives
 MAX_SHOWN = 10  # problems in one report
 _MAX_VALUES = 20_000  # values in one document; aliases of aliases grow without bound
 _MAX_DEPTH = 20
+TOO_LARGE = "too large or too deep for a scenario"
 
 
 class ScenarioError(ValueError):
@@ -154,7 +158,7 @@ def _enter(place: Any, key: str | int) -> Any:
 def read_document(path: Path) -> Document:
     """Read a YAML file; one that cannot be read, or holds no mapping, is a ScenarioError."""
     try:
-        text = path.read_text("utf-8")
+        text = read_small(path)
     except (OSError, ValueError) as error:  # a file that is no UTF-8 text among them
         raise ScenarioError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     return parse_document(text, str(path))
@@ -184,6 +188,22 @@ def parse_value(text: str, source: str) -> Any:
     return value
 
 
+class _BoundedComposer(Composer):
+    """Ends at the first value that is too many or too deep, before the rest of the text is looked at."""
+
+    depth = count = 0
+
+    def compose_node(self, parent: Node, index: Any) -> Node:
+        """Compose a node and what is in it."""
+        untyped: Any = super()
+        self.count, self.depth = self.count + 1, self.depth + 1
+        if self.count > 2 * _MAX_VALUES or self.depth > _MAX_DEPTH + 2:  # keys are nodes, too, and the root
+            raise MarkedYAMLError(problem=TOO_LARGE, problem_mark=untyped.parser.peek_event().start_mark)
+        node = untyped.compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
 class _Reader:
     """Turns the nodes of one document into plain values, and notes lines and problems."""
 
@@ -192,6 +212,7 @@ class _Reader:
         self.problems: list[Problem] = []
         self._source = source
         self._yaml: Any = YAML(typ="safe", pure=True)
+        self._yaml.Composer = _BoundedComposer
         self._count = 0
 
     def compose(self, text: str) -> Node | None:
@@ -213,7 +234,7 @@ class _Reader:
         self._count += 1
         if self._count > _MAX_VALUES or len(path) > _MAX_DEPTH:
             if self._count <= _MAX_VALUES + 1:  # once; then no value is read any more
-                self.problems.append(Problem(path, "too large or too deep for a scenario"))
+                self.problems.append(Problem(path, TOO_LARGE))
                 self._count = _MAX_VALUES + 1
             return None
         if node.id == "mapping":

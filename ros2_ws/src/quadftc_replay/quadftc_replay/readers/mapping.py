@@ -18,7 +18,6 @@ the attitude was computed from this gyro. Commands of rotors in pulses have thei
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -30,13 +29,9 @@ from quadftc_bags.bag import BagError
 from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_model.small_files import read_toml
 from quadftc_replay.flight_log import Floats
 from quadftc_replay.readers.signals import NAMED
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 MOST_ROTORS = 16
 Turn = Callable[[Floats], Floats]
@@ -171,8 +166,7 @@ class Mapping(_Keys):
 def load_mapping(path: Path) -> Mapping:
     """Read a mapping; a BagError of one line says what is wrong where."""
     try:
-        with path.open("rb") as stream:
-            mapping = Mapping.model_validate(tomllib.load(stream))
+        mapping = Mapping.model_validate(read_toml(path))
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
     except ValidationError as error:

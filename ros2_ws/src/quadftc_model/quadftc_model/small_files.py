@@ -1,0 +1,31 @@
+"""Files that people write: their text and tables, of a bounded size."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+LARGEST = 1 << 18  # bytes; 60 times the largest vehicle, scenario or campaign of quadftc
+
+
+def read_small(path: Path) -> str:
+    """Read a UTF-8 text; OSError: it cannot be read, ValueError: it is too large, or no UTF-8."""
+    with path.open("rb") as file:
+        content = file.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise ValueError(f"larger than {LARGEST >> 10} KiB; expected a file as people write it")
+    return content.decode("utf-8").replace("\r\n", "\n")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a table in TOML as `read_small` does; a ValueError as well where it is no TOML."""
+    try:
+        return tomllib.loads(read_small(path))
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
