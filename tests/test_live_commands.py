@@ -67,6 +67,10 @@ def test_setpoint_is_read_with_units():
     assert setpoint_values("attitude", {"roll": "5deg"})["roll"] == pytest.approx(math.radians(5.0))
     with pytest.raises(ValueError, match="that is 2865 deg; write 50deg"):
         setpoint_values("attitude", {"roll": "50"})
+    for angle in ("95deg", "-95deg"):
+        with pytest.raises(ValueError, match=f"roll = {angle}: must be within -80 to 80 deg"):
+            setpoint_values("attitude", {"roll": angle})
+    assert setpoint_values("attitude", {"yaw": "95deg"})["yaw"] == pytest.approx(math.radians(95.0))
     with pytest.raises(ValueError, match="did you mean 'roll'"):
         setpoint_values("attitude", {"rol": "5deg"})
     with pytest.raises(ValueError, match="z missing"):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
+import math
 import operator
 from collections.abc import Sequence
 from typing import Any
@@ -20,6 +21,8 @@ from quadftc_model.parameters import Checked, parameter
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AttitudeReference
+
+MAX_TILT = math.radians(80.0)  # rad, of a live setpoint; further, Euler angles are no sensible one
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

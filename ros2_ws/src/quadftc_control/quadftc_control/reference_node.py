@@ -9,7 +9,6 @@ Services: ~/reset (std_srvs/Trigger): the next sample is scenario time 0.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 
 from quadftc_compile.engine import engine_from
 from quadftc_control.guidance import ScenarioClock, stand_guidance_from
-from quadftc_control.reference import SetpointFilter
+from quadftc_control.reference import MAX_TILT, SetpointFilter
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import is_usable
@@ -28,8 +27,6 @@ from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
 from quadftc_ros.wire import ReferenceWire, vector_of
-
-MAX_TILT = math.radians(80.0)  # rad; further, Euler angles are no sensible setpoint
 
 
 @dataclasses.dataclass(frozen=True)

@@ -30,6 +30,7 @@ TRUTH = {  # channel -> topic of its true fault
 AXES = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 # bare numbers from here on are asked about: degrees are meant, or a mistake
 ABSURD = {"rad": 0.75, "rad/s": 35.0, "rad/s^2": 100.0}  # 43 deg; 2000 deg/s, the range of a gyro
+LATEST = 9.2e9  # s; stamps, in 64-bit nanoseconds, end there
 SCHEDULE = ("channel", "start", "stop", "duration")
 RESERVED = (*SCHEDULE, "axes", "axis", "rotors")
 
@@ -148,6 +149,8 @@ def _time(values: Mapping[str, Any], name: str, default: float) -> float:
         raise ValueError(f"{name}: {error}") from None
     if time < 0.0:
         raise ValueError(f"{name} = {time:g} s: must not be negative")
+    if name in values and time > LATEST:
+        raise ValueError(f"{name} = {time:g} s: must be at most {LATEST:g} s, where stamps end")
     return time
 
 

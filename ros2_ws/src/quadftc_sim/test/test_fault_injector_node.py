@@ -13,6 +13,7 @@ from node_bench import imu_message
 from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import stamp_of
 from quadftc_sim.fault_injector_node import FaultInjectorNode
+from quadftc_sim.injector_ports import MOST_FAULTS
 
 FIRST_NS = 1_000_000_000
 PERIOD_NS = 4_000_000
@@ -192,20 +193,25 @@ def test_injection_that_cannot_be_done_is_answered_with_the_reason(injector, req
     assert injector.injected() == [0.0, 0.0, 0.0]
 
 
-def test_two_hundred_injections_at_once_are_all_accepted_and_all_act(injector):
+def test_as_many_injections_at_once_as_a_sample_has_time_for_are_accepted_and_act(injector):
     injector.step()
     requests = [{**BIAS, "axes": ["roll"], "parameter_values": [0.001 * (k + 1)]} for k in range(200)]
     answers = injector.bench.call_all(InjectFault, "fault_injector/inject", requests)
+    refused = answers[MOST_FAULTS:]
+    assert {each.message for each in refused} == {"64 faults wait or act; at most 64 at a time: clear one"}
+    assert not any(each.success for each in refused)
+    answers = answers[:MOST_FAULTS]
     assert all(answer.success for answer in answers)
-    assert {answer.id for answer in answers} == set(range(1, 201))
+    assert {answer.id for answer in answers} == set(range(1, 65))
     injector.step()
-    assert injector.injected()[0] == pytest.approx(np.angle(np.exp(1j * 0.001 * 200 * 201 / 2)), abs=1e-9)
+    assert injector.injected()[0] == pytest.approx(np.angle(np.exp(1j * 0.001 * 64 * 65 / 2)), abs=1e-9)
     for number, answer in enumerate(answers[:10]):
         before = injector.injected()[0]
         assert injector.clear(answer.id).success
         injector.step()
         change = np.angle(np.exp(1j * (before - injector.injected()[0])))
         assert change == pytest.approx(0.001 * (number + 1), abs=1e-9)
+    assert injector.inject(**BIAS, axes=["roll"]).success
 
 
 def test_clear_ends_one_fault_or_all(injector):

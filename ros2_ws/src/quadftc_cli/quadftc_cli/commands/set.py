@@ -12,6 +12,7 @@ from typer import Argument
 
 from quadftc_cli.commands.inject import NamespaceOption
 from quadftc_cli.screen import console, plain_table, say
+from quadftc_control.reference import MAX_TILT
 from quadftc_flight.graph.plan import GraphError
 from quadftc_model.hints import nearest
 from quadftc_model.rotations import quaternion_from_euler
@@ -24,6 +25,7 @@ SETPOINTS = {  # what is set -> topic, names of the values with their units
     "attitude": ("attitude/setpoint", {"roll": "rad", "pitch": "rad", "yaw": "rad"}),
     "position": ("position/setpoint", {"x": "m", "y": "m", "z": "m", "yaw": "rad"}),
 }
+TILTS = ("roll", "pitch")
 NEEDED = ("x", "y", "z")  # what nobody wants to be 0 unasked
 _UNIT = re.compile(r"\[([^][]+)\]$")
 LIVE = "is the graph started with --live, or the reference with source:=topic?"
@@ -80,6 +82,9 @@ def setpoint_values(target: str, pairs: dict[str, str]) -> dict[str, float]:
         if units[name] == "rad" and abs(numbers[name]) > 2.0 * np.pi:
             degrees = np.degrees(numbers[name])
             raise ValueError(f"{name} = {text}: that is {degrees:.0f} deg; write {text.strip()}deg")
+        if target == "attitude" and name in TILTS and abs(numbers[name]) > MAX_TILT:
+            most = np.degrees(MAX_TILT)
+            raise ValueError(f"{name} = {text}: must be within {-most:.0f} to {most:.0f} deg")
     if missing := [name for name in units if name in NEEDED and name not in pairs]:
         raise ValueError(f"{target}: {', '.join(missing)} missing; expected x=... y=... z=..., in m")
     return numbers
