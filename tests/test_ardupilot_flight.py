@@ -1,12 +1,18 @@
 """Nodes beside ArduPilot's simulation, which a stand-in plays: it sends pulses, and waits for each answer."""
 
 import contextlib
+import json
 import socket
 import struct
+import threading
+import time
 
 import pytest
 
+from quadftc_cli.commands.inject import clear, inject
+from quadftc_cli.commands.watch import watch
 from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_msgs.srv import InjectFault
 from quadftc_sim.ardupilot_backend_node import ArduPilotBackendNode
 from wired_node import Wired
 
@@ -82,3 +88,71 @@ def test_observer_beside_sitl_tells_gyro_from_attitude(fault, expected):
     with beside(FaultObserverNode, [fault]) as (fly, _):
         assert named(fly(1.8)) == set()
         assert named(fly(0.7)) == expected
+
+
+@pytest.fixture
+def flying(bench):
+    """A backend that the stand-in flies; what it says of the faults of its gyro."""
+    backend = bench.run(ArduPilotBackendNode, port=0)
+    told = bench.listen("fault/injected/gyro")
+    bench.connect()
+    over = threading.Event()
+
+    def serve():
+        while not over.is_set():
+            bench._executor.spin_once(timeout_sec=0.05)
+
+    def fly():
+        with StandIn(backend.port) as sitl:
+            while not over.is_set():
+                sitl.fly()
+                time.sleep(0.02)  # slowly: the commands run in this process, too
+
+    threads = [threading.Thread(target=each) for each in (serve, fly)]
+    for each in threads:
+        each.start()
+    yield told
+    over.set()
+    for each in threads:
+        each.join()
+
+
+def await_that(condition):
+    end = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_faults_come_and_go_by_command_while_sitl_flies(flying, capfd):
+    inject(["bias", "channel=gyro", "axis=x", "value=0.3rad/s"])
+    await_that(lambda: flying and flying[-1].vector.x == pytest.approx(0.3))
+    watch(once=True)
+    clear(1)
+    await_that(lambda: flying[-1].vector.x == 0.0)
+    injected, watched, cleared = capfd.readouterr().out.splitlines()
+    assert injected == "fault 1: bias on gyro, until: quadftc clear 1"
+    assert "measured" in watched
+    assert "truth" in watched
+    assert cleared == "1 ended"
+
+
+def test_page_attaches_to_what_ardupilot_flies(flying):
+    from quadftc_cli.live import LiveGraph
+    from quadftc_cli.live_page.attached import page_of_running
+
+    with LiveGraph() as graph:
+        page = page_of_running(graph)
+    assert (page["vehicle"], page["plant"], page["simulated"]) == ("x500", "free_flight", True)
+    assert page["parts"] == "x500, observer none, flown by ArduPilot"
+    assert page["home"] is None
+
+
+def test_fault_that_is_put_on_before_sitl_starts_stays():
+    with Wired(ArduPilotBackendNode, "realtime", port=0) as backend:
+        request = InjectFault.Request(kind="bias", channel="gyro", axes=["x"], start=0.0)
+        request.parameter_names, request.parameter_values = ["value"], [0.5]
+        assert backend.call("inject", request).success
+        with StandIn(backend.node.port) as sitl:
+            answers = [json.loads(sitl.fly()) for _ in range(10)]
+        assert answers[-1]["imu"]["gyro"][0] == pytest.approx(0.5, abs=0.1)

@@ -20,6 +20,9 @@ from quadftc_ros.topics import TOPICS
 PATIENCE = 5.0  # s; for nodes to be found, and for an answer
 OTHERS = 0.5  # s; for other vehicles to be found, after the first
 STEP = 0.05  # s; between two looks
+CONTROLLER, ARDUPILOT, OBSERVER = (
+    f"{node}/get_parameters" for node in ("controller", "ardupilot_backend", "fault_observer")
+)
 
 
 class LiveGraph:
@@ -88,9 +91,20 @@ class LiveGraph:
         kind = load_message_class(row.type_name)
         self.node.create_subscription(kind, full, callback, topic_profile(row.qos, "realtime"))
 
-    def choose_vehicle(self, service: str) -> None:
-        """Take the namespace of the only vehicle that offers a service, if none was asked for."""
+    def choose_vehicle(self, *services: str) -> str:
+        """Take the namespace of the only vehicle that offers one of some services, if none was asked for.
+
+        Return the first of them that it offers.
+        """
+        self.until(lambda: any(map(self.offers, services)))
+        service = next(filter(self.offers, services), services[0])
         self.namespace = self._found(service)[: -len(service)].strip("/")
+        return service
+
+    def offers(self, name: str) -> bool:
+        """Return whether the vehicle, or any where none was asked for, offers a service ``node/name``."""
+        there = self.namespaces(name)
+        return self.namespace in there if self.namespace else bool(there)
 
     def _found(self, name: str) -> str:
         """Full name of a service of the vehicle, once it is there."""

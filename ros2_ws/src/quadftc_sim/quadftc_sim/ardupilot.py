@@ -113,8 +113,8 @@ class ArduPilotPhysics:
     """The physics behind SITL: answers its packets one by one, and counts what is wrong with them.
 
     ``make_simulator(rate)`` makes a vehicle at a rate [Hz], ``make_injector()`` its faults; both anew when
-    SITL restarts, which shows in a frame count that goes back. Each packet's rate is that of its period: SITL
-    comes from 1200 Hz to its ``SIM_RATE_HZ`` in steps of 1 Hz.
+    SITL restarts, which shows in a frame count that goes back. Faults put on before SITL starts stay. Each
+    packet's rate is that of its period: SITL comes from 1200 Hz to its ``SIM_RATE_HZ`` in steps of 1 Hz.
     """
 
     def __init__(
@@ -139,8 +139,9 @@ class ArduPilotPhysics:
             self.complaint = str(error)
             return None
         if self._simulator is None or packet.frame_count < self._frame:
+            if self._simulator is not None:
+                self._injector, self._sample = self._make_injector(), level_sample()
             self._simulator = self._make_simulator(float(packet.frame_rate))
-            self._injector, self._sample = self._make_injector(), level_sample()
             self.flights += 1
             command, emission = None, self._simulator.start()
         elif self.shown is not None and packet.frame_count == self._frame:

@@ -7,8 +7,9 @@
 SITL asks over UDP for one period after the other, and waits for each: it makes time. Parameters are those of
 the plant and the fault injector. The vehicle stands on the ground at first.
 Outputs: imu/data (with its faults, as SITL gets it); rotors/command and torque/command, which SITL's pulses
-ask for after a sample, without the rotors' lag; the true fault on fault/injected; the truth on
-plant/odometry, rotors/speed and wind/applied.
+ask for after a sample, without the rotors' lag; the truth on plant/attitude, plant/rate, plant/odometry,
+rotors/speed and wind/applied; what the fault injector says of its faults.
+Services: fault_injector/inject and fault_injector/clear, as of the fault injector, whose place it takes.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.motion_wire import RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
-from quadftc_ros.wire import ImuWire, VectorWire
+from quadftc_ros.wire import VectorWire
 from quadftc_sim.ardupilot import ArduPilotPhysics, Shown
 from quadftc_sim.assembly import injector_from, simulator_from
-from quadftc_sim.injection import TRUTH
+from quadftc_sim.injector_ports import InjectorPorts
 from quadftc_sim.plant import plants
 from quadftc_sim.plant_output import FlightOutput
 from quadftc_sim.sensors import GRADES, ImuSensor
@@ -74,19 +75,15 @@ class ArduPilotBackendNode(GraphNode):
         simulator = self._simulator(400.0)  # refuses wrong values now
         plant: Any = simulator.plant
         self._values |= {"start": [*plant.start[:2], -plant.feet[0, 2]], "rotors": plant.command_size}
-        self.physics = ArduPilotPhysics(self._simulator, partial(injector_from, self._values, self._engine))
+        make = partial(injector_from, self._values, self._engine)
+        self._faults = InjectorPorts(self, make, plant.command_size, flies=True, under="fault_injector")
+        self.physics = ArduPilotPhysics(self._simulator, self._faults.restart)
         self._vehicle = plant.vehicle
-        self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire(self.imu_frame)
         self._publish_speeds = self.publishes("rotors/command")
         self._speeds = RotorsWire(plant.command_size, self.base_frame)
-        self._publish_torque, self._torque = self.publishes("torque/command"), VectorWire(self.base_frame)
-        self._truth = {
-            channel: (
-                self.publishes(topic),
-                VectorWire(EARTH_FRAME if channel == "attitude" else self.imu_frame),
-            )
-            for channel, topic in TRUTH.items()
-        }
+        self._publish_torque, self._body = self.publishes("torque/command"), VectorWire(self.base_frame)
+        self._publish_attitude, self._earth = self.publishes("plant/attitude"), VectorWire(EARTH_FRAME)
+        self._publish_rate = self.publishes("plant/rate")
         self._flight = FlightOutput(self, simulator.law)
         self._socket = self._open_socket()
         self._ending = threading.Event()
@@ -104,12 +101,13 @@ class ArduPilotBackendNode(GraphNode):
         return {}
 
     def report(self) -> None:
-        """Report whether SITL is there, and how many packets were wrong."""
+        """Report whether SITL is there, how many packets were wrong, and the faults that act."""
         physics, values = self.physics, {name.replace(" ", "_"): n for name, n in self.physics.counts.items()}
         words = "SITL flies" if physics.flights else f"waiting for SITL on UDP port {self.port}"
         level = WARN if physics.complaint else OK
         words += f"; refused: {physics.complaint}" if physics.complaint else ""
         self.diagnostics.report("sitl", level, words, starts=physics.flights, **values)
+        self._faults.report()
 
     def destroy_node(self) -> None:
         """End the thread, then the node."""
@@ -138,7 +136,8 @@ class ArduPilotBackendNode(GraphNode):
         while not self._ending.is_set():
             try:
                 data, sender = self._socket.recvfrom(PACKET)
-                line = self.physics.answer(data)
+                with self._faults.lock:
+                    line = self.physics.answer(data)
                 if line is not None:
                     self._socket.sendto(line, sender)
             except OSError:  # nothing came, or SITL has gone and its port refused our last answer
@@ -156,18 +155,16 @@ class ArduPilotBackendNode(GraphNode):
         stamp_ns = last.emission.sample_stamp_ns
         torque, _ = wrench_from_speeds(self._vehicle, shown.command)
         self._publish_speeds(self._speeds(stamp_ns, shown.command))
-        self._publish_torque(self._torque(stamp_ns, torque))
+        self._publish_torque(self._body(stamp_ns, torque))
 
     def _show(self, shown: Shown) -> None:
         """Publish a sample as SITL got it, and the truth."""
-        emission, injected = shown.emission, shown.injected
+        emission = shown.emission
+        if shown.injected is not None:
+            self._faults.publish(emission.sample_stamp_ns, shown.injected)
+        self._publish_attitude(self._earth(emission.stamp_ns, emission.angles))
+        self._publish_rate(self._body(emission.stamp_ns, emission.body_rate))
         self._flight.show_truth(emission)
-        if injected is None:
-            return
-        if injected.present:
-            self._publish_imu(self._imu(emission.sample_stamp_ns, injected.sample))
-        for channel, (publish, wire) in self._truth.items():
-            publish(wire(emission.sample_stamp_ns, getattr(injected, channel)))
 
 
 main = partial(run_node, ArduPilotBackendNode)

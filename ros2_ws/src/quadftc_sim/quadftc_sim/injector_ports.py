@@ -34,7 +34,7 @@ class InjectorPorts:
     """What a node publishes of its injector, and the services that change it.
 
     ``make()`` makes the injector of a flight, of a vehicle with so many ``rotors``. The services are those of
-    the node, or ``under`` a name. Whoever applies the injector in a thread of its own holds the ``lock``.
+    the node, or ``under`` a name. Who applies the injector in a thread of its own holds the ``lock`` for it.
     """
 
     def __init__(
@@ -81,7 +81,9 @@ class InjectorPorts:
         for channel, (publish, wire) in self._truth.items():
             if channel in self._told:
                 publish(wire(stamp_ns, getattr(injected, channel)))
-        if (active := tuple(self.injector.active)) != self._active:
+        with self.lock:
+            active = tuple(self.injector.active)
+        if active != self._active:
             self._active = active
             self._node.diagnostics.changed = True
 
@@ -100,7 +102,9 @@ class InjectorPorts:
             after = JUST_AFTER if self.injector.begun and request.start == 0.0 else 0.0
             try:
                 if (count := len(self.injector.injections)) >= MOST_FAULTS:
-                    raise ValueError(f"{count} faults wait or act; at most {MOST_FAULTS} at a time: clear one")
+                    raise ValueError(
+                        f"{count} faults wait or act; at most {MOST_FAULTS} at a time: clear one"
+                    )
                 values, now = _values_of(request), self.injector.now + after
                 injection = make_injection(request.kind, values, now, self._rotors)
             except ValueError as error:

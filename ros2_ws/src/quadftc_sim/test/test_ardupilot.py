@@ -222,7 +222,7 @@ def published_by(node, count):
     for _ in range(1000):
         for topic, message in node.take():
             published.setdefault(topic, []).append(message)
-        if len(published.get("fault/injected/accelerometer", [])) == count:
+        if len(published.get("wind/applied", [])) == count:
             break
         time.sleep(0.01)
     return published

@@ -13,20 +13,20 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from quadftc_bags.interfaces import load_message_class
-from quadftc_cli.live import LiveGraph
+from quadftc_cli.live import ARDUPILOT, CONTROLLER, OBSERVER, LiveGraph
 from quadftc_cli.live_page.feed import DIAGNOSTICS, GUIDANCE, Feed, shown_topics
 from quadftc_flight.graph.plan import SLICE, GraphError
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_ros.topics import TOPICS
 
-CONTROLLER = "controller/get_parameters"
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 ALL = QoSProfile(depth=100)
 
 
 def page_of_running(graph: LiveGraph) -> dict[str, Any]:
     """Ask the nodes what flies; return the fields of `page.Flown`. A GraphError says who does not answer."""
-    graph.choose_vehicle(CONTROLLER)
+    if graph.choose_vehicle(CONTROLLER, ARDUPILOT) == ARDUPILOT:
+        return _page_of_ardupilot(graph)
     vehicle, plant, controller = _values(graph, "controller", "vehicle", "plant_kind", "controller")
     (observer,) = _values(graph, "fault_observer", "observer")
     (source,) = _values(graph, GUIDANCE[plant], "source")
@@ -38,6 +38,21 @@ def page_of_running(graph: LiveGraph) -> dict[str, Any]:
         "namespace": graph.namespace,
         "home": _home(graph, plant) if source == "topic" else None,
         "simulated": bool(graph.namespaces("fault_injector/inject")),
+    }
+
+
+def _page_of_ardupilot(graph: LiveGraph) -> dict[str, Any]:
+    """Return the fields of `page.Flown` where ArduPilot flies our physics: it takes no setpoints from us."""
+    (vehicle,) = _values(graph, "ardupilot_backend", "vehicle")
+    observer = _values(graph, "fault_observer", "observer")[0] if graph.offers(OBSERVER) else "none"
+    return {
+        "title": f"Attached to {graph.namespace or 'what flies'}",
+        "parts": f"{Path(vehicle).stem}, observer {observer}, flown by ArduPilot",
+        "vehicle": vehicle,
+        "plant": "free_flight",
+        "namespace": graph.namespace,
+        "home": None,
+        "simulated": True,
     }
 
 

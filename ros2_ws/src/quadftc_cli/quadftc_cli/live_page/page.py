@@ -223,7 +223,8 @@ class _Page:
         shown = [f"{name}: {words}" for _, name, words in picture.warnings() if "fault" not in name]
         self._set("warnings", "\n".join(shown[:3]))
         self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
-        self._set("rate", f"{picture.value('controller', 'timing', 'rate_hz') or '-'} Hz")
+        rates = (picture.value(node, "timing", "rate_hz") for node in ("controller", "fault_observer"))
+        self._set("rate", f"{next(filter(None, rates), '-')} Hz")
         self._set("mode", f"controller: {picture.mode()}")
         self._show_angles()
         if self._flown.simulated:
