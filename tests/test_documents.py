@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -43,6 +44,17 @@ def test_scripts_that_documents_name_exist():
     named = set(re.findall(r"\bscripts/[\w./]*\w", text))
     assert {"scripts/demo", "scripts/test", "scripts/setup"} <= named
     assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
+
+
+def test_documents_with_the_command_ros2_say_what_to_type_without_it():
+    nodes: set[str] = set()
+    for document in (ROOT / "docs").glob("*.md"):
+        text = document.read_text(encoding="utf-8")
+        if re.search(r"^ros2 (run|launch) ", text, re.MULTILINE):
+            assert "Without the `ros2` command" in text, document.name
+            nodes.update(re.findall(r"ros2_ws/install/[\w/]+", text))
+    assert len(nodes) >= 3
+    assert [name for name in nodes if not os.access(ROOT / name, os.X_OK)] == []
 
 
 def test_controller_of_contributing_flies_when_pasted_into_a_file(tmp_path: Path):
