@@ -1,7 +1,8 @@
 """A flight that was recorded live, without a scenario: by a recorder, or by ``ros2 bag record``.
 
-What the bag tells stands for the scenario: its length, its rate, the faults on fault/injected. Parts and
-vehicle are those of ``parameters.yaml`` in or beside the bag, else the nodes' defaults.
+What the bag tells stands for the scenario: its length, its rate, the faults on fault/injected and
+rotors/fault. Parts and vehicle are those of ``parameters.yaml`` in or beside the bag, else the nodes'
+defaults. Times are those of the samples, which fall behind the clock of the machine when it is too slow.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from quadftc_flight.run_directory import (
 from quadftc_flight.scenario import Scenario, ScenarioError, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_model.samples import AXES
+from quadftc_sim.rotor_fault import ROTOR
 
 # by one of these topics a bag is a flight of quadftc, not any IMU's
 SIGNS = ("attitude/reference", "torque/command", "fault/estimate")
@@ -59,12 +61,13 @@ ZERO = 1e-9  # SI; less is no fault
 COLUMNS = dict(zip(SENSORS, ("fault", "gyro_fault", "accelerometer_fault"), strict=True))
 
 Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]  # [ns]
 
 
 class Setpoint(NamedTuple):
     """Where a live vehicle was sent."""
 
-    time: float  # s, since the first sample
+    time: float  # s, since the first sample, on the clock of the samples
     text: str
 
 
@@ -73,6 +76,7 @@ class LiveRun(RecordedRun):
     """A flight whose faults are those that were injected, whenever that was."""
 
     events: tuple[FaultEvent, ...]
+    rotor_events: tuple[FaultEvent, ...]  # the axis of each is the number of the rotor
     setpoints: tuple[Setpoint, ...]
 
     @property
@@ -99,7 +103,7 @@ def live_run(bag: Bag) -> LiveRun:
     parameters = _parameters(bag, warnings)
     flight = flight_from_bag(bag)
     scenario = _scenario(bag, parameters, flight)
-    events = events_of(flight)
+    events, of_rotors = events_of(flight), rotor_events_of(flight)
     windows = merge_windows(
         FaultWindow(event.start, event.stop, (event.axis,)) for event in attitude_events(events)
     )
@@ -112,13 +116,14 @@ def live_run(bag: Bag) -> LiveRun:
         bag=bag,
         parameters=parameters,
         flight=flight,
-        summary={**summary(flight, scenario, scheme, None, (windows, events)), "mode": "realtime"},
+        summary={**summary(flight, scenario, scheme, None, (windows, events, of_rotors)), "mode": "realtime"},
         versions=versions_of({}, bag),
         warnings=tuple(warnings),
         scenario=scenario,
         scheme=scheme,
         events=events,
-        setpoints=_setpoints(bag, int(flight.stamp_ns[0])),
+        rotor_events=of_rotors,
+        setpoints=_setpoints(bag),
     )
 
 
@@ -134,6 +139,27 @@ def events_of(flight: Flight) -> tuple[FaultEvent, ...]:
                 for start, stop in _spans(flight.time, faulty)
             ]
     return tuple(sorted(found, key=lambda event: event.start))
+
+
+def rotor_events_of(flight: Flight) -> tuple[FaultEvent, ...]:
+    """Return when which rotor gave another thrust than a healthy one, by the truth that was recorded."""
+    lost = np.abs(1.0 - flight.rotor_effectiveness) > ZERO  # (n, rotors); false where it is not known
+    found = [
+        FaultEvent(str(rotor), UNKNOWN_KIND, start, stop, ROTOR)
+        for rotor, faulty in enumerate(lost.T, 1)
+        for start, stop in _spans(flight.time, faulty)
+    ]
+    return tuple(sorted(found, key=lambda event: event.start))
+
+
+def flight_times(log_ns: Stamps, sample_log_ns: Stamps, sample_stamp_ns: Stamps) -> Floats:
+    """Return the time of flight [s] at which something was recorded, (n,) each.
+
+    Samples say by when they were recorded how their stamps go on; they may lag the clock of the machine.
+    """
+    first = sample_log_ns[0]
+    since = (sample_stamp_ns - sample_stamp_ns[0]) * 1e-9
+    return np.asarray(np.interp(log_ns - first, sample_log_ns - first, since), np.float64)
 
 
 def _spans(time: Floats, there: NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -193,7 +219,7 @@ def _scenario(bag: Bag, parameters: Mapping[str, Mapping[str, Any]], flight: Fli
         raise BagError(f"{bag.path}: {error}") from None
 
 
-def _setpoints(bag: Bag, first_ns: int) -> tuple[Setpoint, ...]:
+def _setpoints(bag: Bag) -> tuple[Setpoint, ...]:
     """Return the live setpoints of the attitude and of the position."""
     found: list[Setpoint] = []
     for topic, field, unit in (
@@ -202,9 +228,10 @@ def _setpoints(bag: Bag, first_ns: int) -> tuple[Setpoint, ...]:
     ):
         if not has_messages(bag, topic):
             continue
-        series = bag.series(topic)
-        for stamp_ns, values in zip(series.stamp_ns, series[field], strict=True):
+        series, samples = bag.series(topic), bag.series("imu/data")
+        times = flight_times(series.log_time_ns, samples.log_time_ns, samples.stamp_ns)
+        for time, values in zip(times, series[field], strict=True):
             numbers = [math.degrees(value) if unit == "deg" else value for value in values]
             text = f"{topic.partition('/')[0]}: {', '.join(f'{number:.4g}' for number in numbers)} {unit}"
-            found.append(Setpoint((int(stamp_ns) - first_ns) * 1e-9, text))
+            found.append(Setpoint(float(time), text))
     return tuple(sorted(found))

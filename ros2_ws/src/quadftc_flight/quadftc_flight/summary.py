@@ -24,7 +24,8 @@ ATTITUDE_ERRORS = ("attitude_error_max_deg", "attitude_error_rms_deg")
 _TIMING = ("wall_time_s", "real_time_factor")  # entries that a bag cannot tell
 
 
-Truth = tuple[Sequence[FaultWindow], Sequence[FaultEvent]]  # of the attitude; of each axis of each sensor
+# of the attitude; of each axis of each sensor; of each rotor
+Truth = tuple[Sequence[FaultWindow], Sequence[FaultEvent], Sequence[FaultEvent]]
 
 
 class StoredSummary(NamedTuple):
@@ -39,10 +40,10 @@ def summary(
 ) -> dict[str, Any]:
     """Summarise a flight that took ``wall_time`` [s], ready for JSON; the caller adds versions and paths.
 
-    ``truth`` is when which sensor was faulty, if the scenario does not say it.
+    ``truth`` is when which sensor and which rotor was faulty, if the scenario does not say it.
     """
-    windows, events = truth or (scenario.fault_windows, scenario.fault_events)
-    metrics = flight_metrics(flight, windows, events, scenario.rotor_events)
+    truth = truth or (scenario.fault_windows, scenario.fault_events, scenario.rotor_events)
+    metrics = flight_metrics(flight, *truth)
     checks = check_results(metrics, scheme.checks)
     return {
         "name": scenario.name,

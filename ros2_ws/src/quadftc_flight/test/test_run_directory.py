@@ -22,7 +22,15 @@ from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import VECTORS, Flight
-from quadftc_flight.live_run import PARTS, VEHICLE, events_of, is_live, live_run
+from quadftc_flight.live_run import (
+    PARTS,
+    VEHICLE,
+    events_of,
+    flight_times,
+    is_live,
+    live_run,
+    rotor_events_of,
+)
 from quadftc_flight.run_directory import MissingPartError, find_runs, read_run
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_flight.summary import summary
@@ -343,6 +351,22 @@ def test_fault_that_passes_zero_is_one_event(flight):
         (axis, "gyro") for axis in ("roll", "pitch", "yaw")
     ]
     assert found[0].stop == pytest.approx(0.5, abs=0.011)
+
+
+def test_rotor_is_faulty_while_its_thrust_is_not_that_of_a_healthy_one(flight):
+    effectiveness = np.ones((len(flight), 4))
+    effectiveness[(flight.time >= 0.3) & (flight.time < 0.7), 1] = 0.6
+    effectiveness[:, 3] = np.nan  # not known
+    (event,) = rotor_events_of(dataclasses.replace(flight, rotor_effectiveness=effectiveness))
+    assert (event.axis, event.component) == ("2", "rotor")
+    assert event[2:4] == pytest.approx((0.3, 0.7), abs=0.011)
+
+
+def test_time_of_flight_is_that_of_the_samples_where_the_machine_is_behind():
+    recorded = 1_700_000_000_000_000_000 + np.arange(0, 10_000_000_000, 1_000_000_000)
+    stamps = 1_700_000_000_000_000_000 + np.arange(0, 5_000_000_000, 500_000_000)  # at half the speed
+    asked = recorded[[0, 4, 8]] + 500_000_000
+    np.testing.assert_allclose(flight_times(asked, recorded, stamps), [0.25, 2.25, 4.25], atol=1e-6)
 
 
 def test_nodes_defaults_are_those_of_a_live_run():

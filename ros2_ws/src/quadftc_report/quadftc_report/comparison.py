@@ -187,10 +187,10 @@ def list_injections(run: Recorded) -> list[Injection]:
     if largest > 1e-6:
         lines.append(("outside the schedule", "attitude", f"up to {plain(largest)} deg"))
     if isinstance(run, LiveRun):
-        other = (event for event in run.fault_events if event.component != "attitude")
+        other = [event for event in run.fault_events if event.component != "attitude"]
         lines += [
             (_when(event, end), f"{event.component}: {event.axis}", "fault, in the recording")
-            for event in other
+            for event in (*other, *run.rotor_events)
         ]
         lines += [(f"at {each.time:.2f} s", "setpoint", each.text) for each in run.setpoints]
     return lines

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from quadftc_flight.fault_schedule import attitude_events
 from quadftc_flight.flight import NO_STATE
+from quadftc_flight.live_run import LiveRun
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded
@@ -129,6 +130,8 @@ def fault_shades(run: Recorded, axis: int, end: float) -> tuple[Shade, ...]:
         for name, each in named
         if each.channel == ROTOR or each.mask[axis]
     ]
+    if isinstance(run, LiveRun):
+        periods += [(0, each.start, each.stop) for each in run.rotor_events]
     return _merged(periods, kinds, end)
 
 
@@ -138,6 +141,8 @@ def rotor_shades(run: Recorded, rotor: int, end: float) -> tuple[Shade, ...]:
     kinds = [FAULT_WINDOW, *sorted({f"{ROTOR} {each.kind}" for each in faults})]
     acting = [each for each in faults if each.mask[rotor]]
     periods = [(kinds.index(f"{ROTOR} {each.kind}"), each.start, each.stop) for each in acting]
+    if isinstance(run, LiveRun):
+        periods += [(0, each.start, each.stop) for each in run.rotor_events if each.axis == str(rotor + 1)]
     return _merged(periods, kinds, end)
 
 

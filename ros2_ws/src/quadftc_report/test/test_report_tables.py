@@ -11,7 +11,9 @@ import pytest
 
 from quadftc_bags.bag import Bag
 from quadftc_flight.closed_loop import fly
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight
+from quadftc_flight.live_run import LiveRun
 from quadftc_flight.metrics import look_up
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, parse_scenario
@@ -19,6 +21,7 @@ from quadftc_flight.summary import summary
 from quadftc_model import samples
 from quadftc_report.comparison import Comparison, compare, is_ideal, list_injections, metric, tell_run
 from quadftc_report.headline import headline
+from quadftc_report.scene import rotor_shades
 from quadftc_report.table_files import write_tables
 from quadftc_report.tables import Cell, metric_tables
 from quadftc_report.wording import each_axis, plain, short
@@ -239,6 +242,16 @@ def test_injections_are_told_with_time_place_and_size(three, scenario, runs):
     by_hand = list_injections(made_run(scenario, "plain", runs["plain"].flight, fault=fault))
     assert by_hand == [*lines, ("outside the schedule", "attitude", "up to 3 deg")]
     assert list_injections(made_run(parse_scenario(HEALTHY), "only")) == []
+
+
+def test_faults_of_a_live_flight_are_those_that_were_recorded():
+    run = made_run(parse_scenario(HEALTHY), "only")
+    known = {each.name: getattr(run, each.name) for each in dataclasses.fields(run)}
+    event = FaultEvent("2", "fault", 0.1, 0.3, "rotor")
+    live = LiveRun(**known, events=(), rotor_events=(event,), setpoints=())
+    assert list_injections(live) == [("0.1 to 0.3 s", "rotor: 2", "fault, in the recording")]
+    assert [shade[:2] for shade in rotor_shades(live, 1, 0.5)] == [(0.1, 0.3)]
+    assert rotor_shades(live, 0, 0.5) == ()
 
 
 def test_sentence_tells_tracking_detection_and_checks(three, runs):
