@@ -295,3 +295,13 @@ def test_what_goes_beyond_a_limit_is_told_in_the_timeline_alone():
     ]
     assert told[2].startswith("rotor 2 has no more to give, command: 1, limit 0.95")
     assert {each.component for each in verdict.findings} == {"rotor"}  # and what it asks for does not come
+
+
+def test_noise_of_one_gyro_of_two_ends_in_no_error():
+    log = healthy()
+    for seed in range(8):
+        gyro = log.gyros[""]
+        noise = 0.5 * np.random.default_rng(seed).standard_normal(len(gyro)) * (gyro.time > 12.0 + 0.1 * seed)
+        noisy = Signal(gyro.time, gyro.value + noise[:, None] * [0.0, 1.0, 0.0])
+        for found in judge(dataclasses.replace(log, gyros={**log.gyros, "": noisy})).findings:
+            assert found.sigma is None or np.isfinite(found.sigma)

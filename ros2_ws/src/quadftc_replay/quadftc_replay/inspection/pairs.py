@@ -95,6 +95,8 @@ def _along(
         size = float(np.median(values[rows[run]]))
         first = _border(values[rows], run.start, count, 0.0, size)
         last = _border(values[rows], run.stop, count, size, 0.0)
+        if last <= first:
+            continue
         lasts = last >= len(rows) - count or rows[last - 1] >= len(time) - 1
         inside = values[rows[first:last]]
         scatter = float(np.std(inside)) / np.sqrt(max(len(inside) / count, 1.0))

@@ -198,7 +198,8 @@ def _standing(flight: Flight) -> Iterator[Found]:
             if end - start < max(least, 1.5 / sensor.rate):
                 continue
             if _flies_on(flight, onset):
-                yield _speed_absent(sensor, rotor, onset, end)
+                if not is_asked:  # else it slows down as it is told
+                    yield _speed_absent(sensor, rotor, onset, end)
                 break
             speed, rest = float(speeds[run, rotor].mean()), float(others[run].mean())
             said = [f"it turns at {speed:.0f} rad/s while the others turn at {rest:.0f} rad/s"]
