@@ -81,7 +81,7 @@ class Simulator:
         """Fly on from the last sample at another period [ns]; ValueError if the sensors do not allow it."""
         if period_ns == self.period_ns:
             return
-        law = dataclasses.replace(self.law, period=seconds(period_ns))
+        law: VehicleSimulation = dataclasses.replace(self.law, period=seconds(period_ns))
         if law.position is not None or not self._runner.configure(law):
             raise ValueError(f"period = {period_ns} ns: the sensors are for {self.period_ns} ns")
         self.law, self.period_ns = law, period_ns
