@@ -36,14 +36,22 @@ class StandIn:
     def __exit__(self, *_):
         self._socket.close()
 
-    def fly(self):
-        """Fly one period; return the answer."""
+    def send(self):
+        """Send the pulses of a period."""
         lifted = CLIMB if self.count < RATE else HOVER
         rolled = ROLL if self.count % 40 in (*range(10), *range(30, 40)) else -ROLL
         pulses = [lifted + rolled * side for side in RIGHT]
         self._socket.send(struct.pack("<HHI16H", 18458, RATE, self.count, *pulses, *[0] * 12))
-        self.count += 1
+
+    def receive(self):
+        """Return an answer."""
         return self._socket.recv(2048)
+
+    def fly(self):
+        """Fly one period; return the answer."""
+        self.send()
+        self.count += 1
+        return self.receive()
 
 
 @contextlib.contextmanager
@@ -146,6 +154,20 @@ def test_page_attaches_to_what_ardupilot_flies(flying):
     assert (page["vehicle"], page["plant"], page["simulated"]) == ("x500", "free_flight", True)
     assert page["parts"] == "x500, observer none, flown by ArduPilot"
     assert page["home"] is None
+
+
+def test_packet_that_sitl_repeats_while_it_waits_gets_one_answer():
+    with (
+        Wired(ArduPilotBackendNode, "realtime", port=0) as backend,
+        StandIn(backend.node.port) as sitl,
+    ):
+        with backend.node._faults.lock:  # as if laws were compiled
+            for _ in range(3):
+                sitl.send()
+        assert json.loads(sitl.receive())["timestamp"] == 0.0
+        sitl.count += 1
+        assert json.loads(sitl.fly())["timestamp"] == 1 / RATE
+        assert backend.node.physics.counts == {"frame_count repeated": 2}
 
 
 def test_fault_that_is_put_on_before_sitl_starts_stays():

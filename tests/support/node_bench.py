@@ -77,7 +77,7 @@ class NodeBench:
         try:
             node = node_class(context=self.context, namespace=self._namespace, parameter_overrides=overrides)  # type: ignore[call-arg]
         except Exception as error:
-            _destroy_half_made(error)
+            destroy_half_made(error)
             raise
         return self._add(node)
 
@@ -199,7 +199,7 @@ def vector_message(
     return VectorWriter(frame)(stamp_ns, np.array(vector, float))
 
 
-def _destroy_half_made(error: Exception) -> None:
+def destroy_half_made(error: Exception) -> None:
     """Destroy the node whose constructor raised ``error``.
 
     Left to the garbage collector, it may be destroyed while the next bench starts, and Fast DDS then can

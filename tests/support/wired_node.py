@@ -12,6 +12,7 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 
+from node_bench import destroy_half_made
 from quadftc_bags.interfaces import load_message_class
 from quadftc_ros.conversions import END_NS, NANOSECONDS
 from quadftc_ros.node import GraphNode
@@ -51,7 +52,12 @@ class Wired:
         self._out: dict[str, list[bytes]] = {}
         given = {"mode": mode, **parameters}
         overrides = [Parameter(name, value=value) for name, value in given.items()]
-        self.node = make(tap=self._tap, context=self.context, parameter_overrides=overrides)
+        try:
+            self.node = make(tap=self._tap, context=self.context, parameter_overrides=overrides)
+        except Exception as error:
+            destroy_half_made(error)  # else its services answer nobody, and others are asked in vain
+            self.context.try_shutdown()
+            raise
         self.topics = {reader.topic_name.lstrip("/"): reader for reader in self.node.subscriptions}
         self.topics.pop("parameter_events", None)
         self.services = {service.srv_name.rpartition("/")[2]: service for service in self.node.services}

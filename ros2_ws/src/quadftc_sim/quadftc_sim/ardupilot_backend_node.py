@@ -14,7 +14,9 @@ Services: fault_injector/inject and fault_injector/clear, as of the fault inject
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import select
 import socket
 import threading
 import time
@@ -40,6 +42,7 @@ from quadftc_sim.simulator import Simulator
 
 LOOK = 0.1  # s; how often the socket's thread looks whether it is to end
 PACKET = 2048  # bytes; more than any packet has
+MOST = 100  # packets that are read before they are answered
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +110,8 @@ class ArduPilotBackendNode(GraphNode):
         level = WARN if physics.complaint else OK
         words += f"; refused: {physics.complaint}" if physics.complaint else ""
         self.diagnostics.report("sitl", level, words, starts=physics.flights, **values)
-        self._faults.report()
+        level, words, active = self._faults.status()
+        self.diagnostics.report("faults", level, words, **active)
 
     def destroy_node(self) -> None:
         """End the thread, then the node."""
@@ -127,26 +131,43 @@ class ArduPilotBackendNode(GraphNode):
         except OSError as error:
             opened.close()
             raise ValueError(f"address = '{address}', port = {port}: {error.strerror}") from None
-        opened.settimeout(LOOK)
+        opened.setblocking(False)
         return opened
 
     def _serve(self) -> None:
-        """Answer SITL until the node ends."""
+        """Answer SITL until the node ends, then publish each sample.
+
+        SITL repeats a packet that it has waited a second for, as when laws are compiled. All repetitions get
+        one answer: it would take a second one for that to its next packet, and lag from then on.
+        """
         last: Shown | None = None
         while not self._ending.is_set():
-            try:
-                data, sender = self._socket.recvfrom(PACKET)
-                with self._faults.lock:
-                    line = self.physics.answer(data)
-                if line is not None:
+            answers: dict[Any, bytes] = {}  # by sender
+            new: list[Shown] = []
+            for patience in (LOOK, 0.0):  # the second time for what has come meanwhile
+                for data, sender in self._packets(patience):
+                    with self._faults.lock:
+                        line, shown = self.physics.answer(data), self.physics.shown
+                    if line is not None and shown is not None:
+                        answers[sender] = line
+                        new += [] if shown is (new[-1] if new else last) else [shown]
+            for sender, line in answers.items():
+                with contextlib.suppress(OSError):  # SITL has gone
                     self._socket.sendto(line, sender)
-            except OSError:  # nothing came, or SITL has gone and its port refused our last answer
-                continue
-            if (shown := self.physics.shown) is not None and shown is not last:
+            for shown in new:
                 if last is not None:
                     self._show_command(last, shown)
                 self._show(shown)
                 last = shown
+
+    def _packets(self, patience: float) -> list[tuple[bytes, Any]]:
+        """Return the packets that have come, with their senders; wait [s] for the first."""
+        select.select([self._socket], [], [], patience)
+        found: list[tuple[bytes, Any]] = []
+        with contextlib.suppress(OSError):  # no more, or SITL has gone and its port refused our last answer
+            while len(found) < MOST:
+                found.append(self._socket.recvfrom(PACKET))
+        return found
 
     def _show_command(self, last: Shown, shown: Shown) -> None:
         """Publish how SITL has answered a sample: what it asks of the rotors."""

@@ -52,7 +52,8 @@ class FaultInjectorNode(GraphNode):
 
     def report(self) -> None:
         """Report the faults that act."""
-        self._ports.report()
+        level, words, active = self._ports.status()
+        self.diagnostics.report("faults", level, words, **active)
 
 
 main = partial(run_node, FaultInjectorNode)

@@ -87,14 +87,13 @@ class InjectorPorts:
             self._active = active
             self._node.diagnostics.changed = True
 
-    def report(self) -> None:
-        """Report the faults that act."""
+    def status(self) -> tuple[bytes, str, dict[str, str]]:
+        """Return level, words and values of a report on the faults that act."""
         active = {
             str(number): f"{fault.kind} on {fault.channel} until {fault.stop:g} s"
             for number, fault in self.injector.active.items()
         }
-        level = WARN if active else OK
-        self._node.diagnostics.report("faults", level, f"{len(active)} faults act", **active)
+        return WARN if active else OK, f"{len(active)} faults act", active
 
     def _on_inject(self, request: Any, response: Any) -> Any:
         with self.lock:
