@@ -47,6 +47,7 @@ SERIAL_FIXTURES = {"bench"}
 SLOW_FILES = {
     "test_any_attitude.py",
     "test_ardupilot.py",
+    "test_ardupilot_flight.py",
     "test_augmented_kalman.py",
     "test_bad_messages.py",
     "test_bad_parameters.py",
