@@ -21,7 +21,7 @@ from quadftc_replay.inspection.whitening import Floats, runs_of, scale
 
 LASTS = 0.5  # s; of what is no late message
 FAR = 1.0  # m; by which two cores of an estimator may differ in healthy flight
-SMALLEST = 0.01  # m; as finely as positions are logged
+SMALLEST = 0.01  # m, rad; standard deviation, at least
 LEAN = 1.0  # m/s²; of a lean that has a direction
 UPRIGHT = 0.2  # 1; cosine of the tilt up to which a lean is an acceleration
 FEWEST = 20  # samples

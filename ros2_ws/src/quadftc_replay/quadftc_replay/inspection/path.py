@@ -34,6 +34,7 @@ LEVEL = 6.0  # standard deviations
 SMALLEST = 1.0  # m/s²; 6 deg of tilt, which estimators reach without a fault
 TURN = 0.7  # rad; between two attitudes, beyond which the way between them is not known
 USABLE = 0.5  # m/s²; sigma of a path that says anything
+ONSET = 0.1  # 1; of the window: standard deviation of the begin that the path tells
 # windows before and after, over which causes are compared: later, estimators have learned
 AROUND = (2.0, 1.5)
 
@@ -124,11 +125,12 @@ def _known_velocity(log: FlightLog, force: Signal | None) -> Signal | None:
 
 
 def begin_of(log: FlightLog, force: Signal, cause: Cause, path: Path) -> tuple[float, float]:
-    """Date an offset of an accelerometer by a shorter window, with a standard deviation [s]."""
-    window = np.sqrt(path.window * WINDOW)
-    short = path_of(log.attitude, force, _known_velocity(log, force), window)
-    if short is None or path.window == WINDOW:
-        return cause.onset, 0.1 * path.window
+    """Date a cause, an accelerometer's by a shorter window, with a standard deviation [s]."""
+    window, short = np.sqrt(path.window * WINDOW), None
+    if path.window > WINDOW and cause.component == "accelerometer":
+        short = path_of(log.attitude, force, _known_velocity(log, force), window)
+    if short is None:
+        return cause.onset, ONSET * path.window
     rows = slice(*np.searchsorted(short.time, (cause.onset - path.window, cause.onset + path.window)))
     time, along = short.time[rows], np.nan_to_num(short.rest[rows, "xyz".index(cause.element)])
     onsets = np.arange(cause.onset - 0.5 * path.window, cause.onset + 0.5 * path.window, 0.5 * STEP)
@@ -136,7 +138,7 @@ def begin_of(log: FlightLog, force: Signal, cause: Cause, path: Path) -> tuple[f
         float(np.sum((along - cause.size * np.clip((time - onset) / window + 0.5, 0.0, 1.0)) ** 2))
         for onset in onsets.tolist()
     ]
-    return float(onsets[int(np.argmin(left))]), 0.1 * window
+    return float(onsets[int(np.argmin(left))]), ONSET * window
 
 
 def attitude_at(attitude: Signal, time: Floats) -> Floats:

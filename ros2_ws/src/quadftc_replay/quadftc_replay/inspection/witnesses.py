@@ -31,7 +31,6 @@ from quadftc_replay.inspection.whitening import Floats
 
 UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
 AROUND = 2.0  # s; drawn before and after a finding
-ONSET = 0.1  # 1; of the window: standard deviation of the begin that the path tells
 NEAR = 0.5  # s; from a step that the path shows to the same in the readings
 
 
@@ -180,11 +179,10 @@ def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
     is_gyro = cause.component == "gyro"
     sensor = flight.gyro[1] if is_gyro and flight.gyro is not None else _main_force(flight)
     axis = BODY_AXES.index(cause.element)
-    onset, near = cause.onset, ONSET * path.window
+    onset = cause.onset
     if sensor is not None:
         limits = RATE_LIMITS if is_gyro else FORCE_LIMITS
-        if not is_gyro:
-            onset, near = begin_of(flight.log, sensor, cause, path)
+        onset, near = begin_of(flight.log, sensor, cause, path)
         span = (onset - 5.0 * near, onset + 5.0 * near)
         onset = begins_within(flight, sensor, limits, axis, cause.size, span, near)
     what = "the attitude tilts away from" if is_gyro else "the specific force parts from"
