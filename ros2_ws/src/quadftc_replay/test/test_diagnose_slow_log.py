@@ -11,7 +11,8 @@ import pytest
 
 from quadftc_model.rotations import to_earth, turn
 from quadftc_replay.flight_log import Event, FlightLog, Signal, Watched
-from quadftc_replay.inspection.attitude import Creep
+from quadftc_replay.inspection.agreement import Agreement
+from quadftc_replay.inspection.attitude import Creep, find_creeps
 from quadftc_replay.inspection.flight import Interval
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.pairs import owner_by_other
@@ -146,6 +147,33 @@ def test_fault_that_all_imus_share_is_seen_by_the_path():
     first = judge(fly(gyro=np.array([0.15, 0.0, 0.0]), wrong=(0, 1), seconds=ONSET + 5.0)).findings[0]
     assert (first.component, first.element) == ("gyro", "x")
     assert first.size == pytest.approx(0.15, abs=0.03)
+
+
+@pytest.mark.parametrize("imus", [1, 2])
+@pytest.mark.parametrize(("axis", "element"), [(0, "roll"), (1, "pitch")])
+def test_attitude_that_jumps_is_named_not_the_accelerometer_that_the_path_then_blames(
+    axis: int, element: str, imus: int
+):
+    log, tilt = fly(imus=imus), 0.25 * np.eye(3)[axis]
+    assert log.attitude is not None
+    time, q = log.attitude
+    log = dataclasses.replace(
+        log, attitude=Signal(time, np.where((time >= ONSET)[:, None], turn(q, tilt), q))
+    )
+    (found,) = judge(log).findings
+    assert (found.component, found.element, found.kind) == ("attitude", element, "offset")
+    assert (found.onset_s, found.size) == pytest.approx((ONSET, 0.25), abs=0.02)
+
+
+@pytest.mark.parametrize(("swing", "creeps"), [(1.5, 0), (0.0, 1)])
+def test_turn_that_a_lagging_attitude_shows_one_sample_late_is_no_creep(swing: float, creeps: int):
+    time, dt = np.arange(0.05, 20.0, 0.05), 0.05
+    rest = 0.001 * np.random.default_rng(1).standard_normal((len(time), 3))
+    rest[200:202, 2] -= 0.5 * dt * 1.5  # by as much as a turn of 1.5 rad/s that begins there
+    turn_ = np.zeros_like(rest)
+    turn_[200:, 2] = swing * dt
+    agreement = Agreement(time, np.full(len(time), dt), rest, np.zeros(3), turn_)
+    assert len(find_creeps(agreement, np.ones(len(time), np.bool_), ())) == creeps
 
 
 def test_log_without_rotors_is_not_enough_to_say_and_says_what_to_set():

@@ -109,6 +109,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
         means = ndimage.uniform_filter1d(rates, count, axis=0)[there] / share_known[there, None]
         means = Signal(time[there], means).at(time)  # straight over what is not known
         moving = ndimage.uniform_filter1d(np.nan_to_num(turning), count)
+        swing = _swing(agreement, count)
         for axis in range(3):
             level = min(np.quantile(means[:, axis], HEALTHY).tolist(), key=abs)
             mean = means[:, axis] - (level if abs(level) < least else 0.0)  # no healthy sensor is off by more
@@ -117,7 +118,8 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
             scatter = TO_SIGMA * float(np.median(np.abs(changes))) / np.sqrt(2.0) + 1e-9
             score = np.where(
                 watched & (share_known > KNOWN),
-                np.abs(mean) / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving),
+                np.abs(mean)
+                / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving + usual * swing[:, axis]),
                 0.0,
             )
             score[: count // 2] = score[len(score) - count // 2 :] = 0.0  # less than a window
@@ -131,6 +133,17 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
         if not any(_touch(creep, other) for other in clearest):
             clearest.append(creep)
     return sorted(clearest, key=lambda creep: creep.span.start)
+
+
+def _swing(agreement: Agreement, count: int) -> Floats:
+    """By how much the body rate changes over ``count`` intervals around each, by their time (n, 3) [rad/s²].
+
+    An attitude that is dated wrong by a time turns slower than the gyro by this, times that time.
+    """
+    rates = np.nan_to_num(agreement.turn / agreement.dt[:, None])
+    rows = np.arange(len(rates))
+    first, last = np.maximum(rows - count // 2, 0), np.minimum(rows + count // 2, len(rates) - 1)
+    return np.abs(rates[last] - rates[first]) / (agreement.time[last] - agreement.time[first])[:, None]
 
 
 def stretches(mean: Floats, score: Floats, apart: int) -> Iterator[tuple[slice, float]]:

@@ -27,7 +27,7 @@ from quadftc_replay.inspection.rotors import Rotors, judge_rotors
 from quadftc_replay.inspection.steps import SLOWEST
 from quadftc_replay.inspection.verdict import NotJudged, Verdict
 from quadftc_replay.inspection.vibration import vibration_findings
-from quadftc_replay.inspection.witnesses import pair_findings, path_findings
+from quadftc_replay.inspection.witnesses import is_tilt, pair_findings, path_findings
 from quadftc_replay.inspection.wording import make_verdict
 
 Progress = Callable[[float], None]
@@ -142,12 +142,16 @@ def _sensors(
     pairs += pair_findings(flight, "accelerometer", log.accelerometers, known)
     paths, path = path_findings(flight)
     by_satellites = path is not None and path.window == WINDOW
-    begun = min((each.finding.onset_s for each in pairs), default=float("inf"))
-    judgement.found += pairs + [each for each in paths if each.finding.onset_s < begun - PATH_SEES]
     is_own = log.attitude_from_gyro is not False
     jumps, creeps = (
         ([], []) if agreement is None else disagreements(flight, agreement, log.attitude_from_gyro)
     )
+    begun = min((each.finding.onset_s for each in pairs), default=float("inf"))
+    judgement.found += pairs + [
+        each
+        for each in paths
+        if each.finding.onset_s < begun - PATH_SEES and not (path and is_tilt(each.finding, path, jumps))
+    ]
     witness = Witness(agreement, creeps, not is_own) if agreement is not None else None
     own, left = gyro_findings(flight, gyros, witness)
     judgement.found += own

@@ -111,10 +111,10 @@ def offset_finding(
 
 
 def _is_seen(agreement: Agreement, axis: int, size: float, moment: float) -> bool:
-    """Whether the attitude turns slower than the gyro by a share of an offset, around a moment [s]."""
+    """Whether the attitude turns slower than the gyro by most of an offset, around a moment [s]."""
     near = np.abs(agreement.time - moment) < AROUND
     rate = np.sum(agreement.rest[near, axis]) / max(float(np.sum(agreement.dt[near])), 1e-9)
-    return bool(-np.sign(size) * rate > SEEN * abs(size))
+    return bool(-np.sign(size) * rate > GYRO * abs(size))
 
 
 def owner_of(creep: Creep, own: OwnEstimate | None) -> Owner | None:

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.accelerometer import LIMITS as FORCE_LIMITS
 from quadftc_replay.inspection.agreement import compare
+from quadftc_replay.inspection.attitude import SAME, Jump
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.gyro import BODY_AXES, component_name
+from quadftc_replay.inspection.gyro import BODY_AXES, change_at, component_name
 from quadftc_replay.inspection.gyro import LIMITS as RATE_LIMITS
 from quadftc_replay.inspection.pairs import CLEAR, LONG, Parting, differ, jumps_more, partings
 from quadftc_replay.inspection.path import (
@@ -171,7 +173,37 @@ def path_findings(flight: Flight) -> tuple[list[Found], Path | None]:
     if path is None:
         return [], None
     causes = [each for each in causes_of(flight, path) if each.component != "gps"]
-    return [_path_found(flight, path, cause) for cause in causes], path
+    return [_path_found(flight, path, each) for each in causes if not _is_tilting(flight, each)], path
+
+
+def _is_tilting(flight: Flight, cause: Cause) -> bool:
+    """Whether no accelerometer jumps by what the path books on the main one, and another feels it as well."""
+    if cause.component != "accelerometer":
+        return False
+    (main, *others), axis = flight.log.accelerometers.values(), BODY_AXES.index(cause.element)
+    change = change_at(main.time, main.value[:, axis], cause.onset, NEAR)
+    if change is None or change / cause.size > CLEAR:
+        return False
+    for other in others:
+        difference = differ(main, other)[2]
+        rows = slice(*np.searchsorted(difference.time, (cause.onset, cause.onset + LONG)))
+        along = difference.value[rows, axis]
+        if len(along) and abs(float(np.mean(along))) < CLEAR * abs(cause.size):
+            return True
+    return False
+
+
+def is_tilt(finding: Finding, path: Path, jumps: Sequence[Jump]) -> bool:
+    """Whether the attitude jumps by the tilt that makes an accelerometer's offset of the path.
+
+    Turned by d, it moves the path by d x f: d_y g along x, -d_x g along y.
+    """
+    axis = {"x": 1, "y": 0}.get(finding.element)
+    if finding.component != "accelerometer" or axis is None or finding.size is None:
+        return False
+    tilt = finding.size / STANDARD_GRAVITY * (1.0 if axis == 1 else -1.0)
+    near = [each for each in jumps if abs(each.onset - finding.onset_s) < 0.5 * path.window]
+    return any(each.axis == axis and abs(each.size - tilt) < SAME * abs(tilt) for each in near)
 
 
 def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
