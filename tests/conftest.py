@@ -20,7 +20,8 @@ def busy_scenario():
 @pytest.fixture(scope="session")
 def fly_graph(tmp_path_factory):
     """Fly a scenario through the real graph, once for each set of arguments; return its run directory."""
-    from quadftc_flight.runs import RunOptions, prepare, run, run_name
+    from quadftc_flight.run_files import prepare, run_name
+    from quadftc_flight.runs import RunOptions, run
 
     flown = {}
 

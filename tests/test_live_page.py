@@ -18,8 +18,9 @@ from quadftc_cli.live_page.flying import Wish, fly_live, page_of, plan_of, scena
 from quadftc_cli.live_page.picture import Picture, amount
 from quadftc_model.samples import FAULTY, ComponentFault, DiagnosisReport, level_sample
 from quadftc_model.vehicle import load_vehicle
+from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.scheduling import ORDINARY
-from quadftc_ros.wire import DiagnosisWire, ImuWire, VectorWire
+from quadftc_ros.wire import ImuWire, VectorWire
 
 SECOND = 1_000_000_000  # ns
 HOVER = Wish("", "", "", False, False, "", 0.0, None, "")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import quadftc_tools
-from quadftc_flight.runs import RunError
+from quadftc_flight.run_files import RunError
 
 SCENARIO, SCHEME = "mems_faults", "supervised"
 OTHER_SCHEMES = ("proposed", "conventional")

@@ -16,7 +16,7 @@ from quadftc_cli.commands import GOOD, INTERRUPTED
 from quadftc_cli.commands.options import EngineOption
 from quadftc_cli.commands.run import CoreOption, GraphOption, PriorityOption
 from quadftc_cli.screen import console, say
-from quadftc_flight.runs import RunError
+from quadftc_flight.run_files import RunError
 from quadftc_flight.scenario import (
     Scenario,
     find_scenario,

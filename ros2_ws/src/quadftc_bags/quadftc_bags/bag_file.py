@@ -7,7 +7,6 @@ process loses nothing written before; after a ``sync`` that follows, nor does a 
 
 from __future__ import annotations
 
-import fcntl
 import io
 import os
 import tempfile
@@ -67,7 +66,9 @@ class BagFile:
         self._span_ns: tuple[int, int] | None = None
         self._flushed = _Flushed(0, {}, None)
         self._file = io.FileIO(self.path, "x")
-        with suppress(OSError):  # a file system without locks; the lock ends with the process
+        with suppress(OSError, ImportError):  # a system without locks; the lock ends with the process
+            import fcntl
+
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._chunk_size = chunk_size
         self._open_size = 0
@@ -171,9 +172,11 @@ class BagFile:
 def is_being_written(path: Path) -> bool:
     """Return whether a process of this machine has the file of a bag open as a `BagFile`."""
     try:
+        import fcntl
+
         with path.open("rb") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError as error:  # another one: the file cannot be opened, or its file system has no locks
+    except (OSError, ImportError) as error:  # another one: the file cannot be opened, or there are no locks
         return isinstance(error, BlockingIOError)
     return False
 

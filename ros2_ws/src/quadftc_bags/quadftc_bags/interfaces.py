@@ -1,14 +1,17 @@
-"""Message types by name: the class, the full text of the definition, and the type hash."""
+"""Message types by name: the class, the full text of the definition, and the type hash.
+
+Without ROS 2, text and hash come from rosbags and from the definitions in the wheel (folder ``msg``).
+"""
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import json
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
-
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
 _SEPARATOR = "=" * 80
 
@@ -22,6 +25,8 @@ class Interface(NamedTuple):
 
 def load_interface(type_name: str) -> Interface:
     """Read a message type (``package/msg/Name``) from the installed packages; ValueError if there is none."""
+    if importlib.util.find_spec("ament_index_python") is None:
+        return _interface_without_ros(type_name)
     package, name = _split_type(type_name)
     text = "".join(_definitions(package, name, seen=set()))
     description = json.loads(_file(package, f"{name}.json").read_text("utf-8"))
@@ -73,6 +78,8 @@ def _definitions(package: str, name: str, seen: set[str]) -> list[str]:
 
 def _file(package: str, name: str) -> Path:
     """Return the file of that name among an installed package's messages."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
     type_name = f"{package}/msg/{Path(name).stem}"
     try:
         path = Path(get_package_share_directory(package), "msg", name)
@@ -81,3 +88,24 @@ def _file(package: str, name: str) -> Path:
     if not path.is_file():
         raise ValueError(f"message type '{type_name}': no file {path}")
     return path
+
+
+def _interface_without_ros(type_name: str) -> Interface:
+    from rosbags.typesys import TypesysError
+
+    store = _types_without_ros()
+    try:
+        text, _ = store.generate_msgdef(type_name, ros_version=2)
+    except TypesysError:
+        raise ValueError(f"message type '{type_name}': not known without ROS 2") from None
+    return Interface(text, store.hash_rihs01(type_name))
+
+
+@cache
+def _types_without_ros() -> Any:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for file in (Path(__file__).parent / "msg").glob("*.msg"):
+        store.register(get_types_from_msg(file.read_text("utf-8"), f"quadftc_msgs/msg/{file.stem}"))
+    return store

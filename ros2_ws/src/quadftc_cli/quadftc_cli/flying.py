@@ -1,13 +1,14 @@
 # pyright: basic
-"""Flying the scenarios of ``quadftc run``: what is asked for, through the graph, into tables."""
+"""Flying the scenarios of ``quadftc run``: what is asked for, through the graph or the loop, into tables."""
 
 from __future__ import annotations
 
 import functools
+import importlib.util
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
@@ -17,8 +18,8 @@ from quadftc_cli.judging import judge
 from quadftc_cli.metric_table import diagnosis_table, fitting, heading, text
 from quadftc_cli.screen import Bars, console, plain_table
 from quadftc_flight.checks import refuse_wrong_checks
-from quadftc_flight.runs import RunError, RunOptions, prepare, run_name, write_summary
-from quadftc_flight.runs import run as run_scenario
+from quadftc_flight.loop_run import run_loop
+from quadftc_flight.run_files import RunError, prepare, run_name, write_summary
 from quadftc_flight.scenario import (
     Scenario,
     Scheme,
@@ -28,11 +29,12 @@ from quadftc_flight.scenario import (
     relabelled,
     with_components,
 )
-from quadftc_flight.side_by_side import run_side_by_side
 from quadftc_flight.summary import relate_to_undiagnosed
 from quadftc_model.samples import AXES
-from quadftc_ros.executor import StopSignals
-from quadftc_ros.scheduling import Scheduling
+from quadftc_ros.scheduling import ORDINARY, Scheduling
+
+if TYPE_CHECKING:
+    from quadftc_flight.runs import RunOptions
 
 # metrics (dotted path below "metrics") of each axis; where there is no room, the last go first
 COLUMNS = (
@@ -46,6 +48,8 @@ COLUMNS = (
 
 # names of scenarios, scheme, overrides, gains, components by role, label
 What = tuple[Sequence[str], str, Sequence[str], str, Mapping[str, str], str]
+Job = tuple[Scenario, Scheme]
+LOOP = "loop"  # in place of a graph: in this process, without ROS
 # graph, mode, namespace, whether to replace, what `Scheduling` takes, and the engine
 How = tuple[str, str, str, bool, tuple[str, int, tuple[int, ...]], str]
 
@@ -54,7 +58,9 @@ def fly_named(what: What, out: Path, how: How, jobs: int | None, junit: Path | N
     """Fly the schemes of scenarios, so many side by side, and return the exit code."""
     names, scheme, overrides, gains, parts, label = what
     graph, mode, namespace, force, scheduling, engine = how
-    options = RunOptions(graph, mode, namespace, force, Scheduling(*scheduling), engine)
+    graph = graph or ("composed" if importlib.util.find_spec("rclpy") else LOOP)
+    if graph == LOOP and (mode == "realtime" or namespace or Scheduling(*scheduling) != ORDINARY):
+        raise ValueError("--graph loop: flies in lock-step; real time and namespaces need ROS 2")
     flights: list[tuple[Scenario, Scheme]] = []
     for name in names:
         plain = load_scenario(find_scenario(name), overrides, gains)
@@ -67,12 +73,31 @@ def fly_named(what: What, out: Path, how: How, jobs: int | None, junit: Path | N
     if len(set(runs)) < len(runs):
         twice = next(name for name in runs if runs.count(name) > 1)
         raise RunError(f"{twice}: asked for twice; give scenarios other names")
+    if graph == LOOP:
+        return fly_loops(flights, out, engine, force, junit)
+    from quadftc_flight.runs import RunOptions
+
+    options = RunOptions(graph, mode, namespace, force, Scheduling(*scheduling), engine)
     workers = 1 if mode == "realtime" else min(jobs or len(os.sched_getaffinity(0)), len(flights))
     return fly_jobs(flights, out, options, workers, junit)
 
 
+def fly_loops(jobs: list[Job], out: Path, engine: str, force: bool, junit: Path | None = None) -> int:
+    """Fly scenarios with their schemes in this process, without ROS; else as `fly_jobs`."""
+    for scenario, _ in jobs:
+        refuse_wrong_checks(scenario)
+    names, screen, summaries = [run_name(*job) for job in jobs], console(), list[dict[str, Any]]()
+    prepare(out, names, force)
+    with Bars(screen) as bars:
+        for name, job in zip(names, jobs, strict=True):
+            update = bars.add(name)
+            summaries.append(run_loop(*job, out, engine))
+            update(1.0)
+    return show_runs(summaries, out, screen, junit)
+
+
 def fly_jobs(
-    jobs: list[tuple[Scenario, Scheme]],
+    jobs: list[Job],
     out: Path,
     how: RunOptions,
     workers: int = 1,
@@ -82,6 +107,10 @@ def fly_jobs(
 
     ``junit``: the file that gets the checks as JUnit XML.
     """
+    from quadftc_flight.runs import run as run_scenario
+    from quadftc_flight.side_by_side import run_side_by_side
+    from quadftc_ros.executor import StopSignals
+
     for scenario, _ in jobs:
         refuse_wrong_checks(scenario)
     names, screen = [run_name(*job) for job in jobs], console()
@@ -101,7 +130,11 @@ def fly_jobs(
     if stop.requested:
         screen.print(f"interrupted; what was flown is in {out}")
         return INTERRUPTED
-    summaries = [result for result in results if result is not None]
+    return show_runs([result for result in results if result is not None], out, screen, junit)
+
+
+def show_runs(summaries: list[dict[str, Any]], out: Path, screen: Console, junit: Path | None) -> int:
+    """Show what came out of the runs in a directory, and return the exit code."""
     for related in relate_to_undiagnosed(summaries):
         write_summary(out, related)
     _print_tables(summaries, screen)

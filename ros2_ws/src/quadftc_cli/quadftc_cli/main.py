@@ -13,7 +13,7 @@ import functools
 import importlib.util
 import os
 import sys
-from importlib.metadata import EntryPoint, entry_points, version
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,18 +23,30 @@ from typer.core import TyperCommand, TyperGroup
 # this machine only, unless asked otherwise; read when ROS starts, so before any of its modules
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
+from quadftc_cli import commands
 from quadftc_cli.commands import BAD_INPUT, GOOD, INTERNAL, INTERRUPTED
+from quadftc_model.versions import software_version
 
 # errors by their names, as their modules take long to import: raised by bad input; by a graph
-BAD_INPUT_ERRORS = ("quadftc_campaign.errors.CampaignError", "quadftc_flight.runs.RunError")
+BAD_INPUT_ERRORS = ("quadftc_campaign.errors.CampaignError", "quadftc_flight.run_files.RunError")
 GRAPH_ERROR = "quadftc_flight.graph.plan.GraphError"
+# what is there with ROS 2 only; and what the extras of the wheel install
+ROS = ("rclpy", "ament_index_python", "quadftc_msgs", "builtin_interfaces", "std_msgs", "sensor_msgs", "rcl_")
+EXTRAS = {
+    "serve": ("fastapi", "nicegui", "starlette", "uvicorn"),
+    "batch": ("distributed", "optax", "polars", "sklearn"),
+    "isolability": ("faultdiagnosistoolbox", "sympy"),
+}
 MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters
 PATHS_FAULT = (
     *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG),
     *(errno.ELOOP, errno.EROFS, errno.EINVAL, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
 )  # errors of the system that say that a path was bad input, or that its disk takes no more
 
-SUBCOMMANDS = "quadftc.commands"  # entry points: functions, or a typer.Typer with commands of its own
+# entry points by which a package adds subcommands: functions, or a typer.Typer with commands of its own
+SUBCOMMANDS = "quadftc.commands"
+_IN = commands.__name__
+OWN_ENTRIES = tuple(EntryPoint(name, f"{_IN}.{place}", SUBCOMMANDS) for name, place in commands.OWN.items())
 
 
 class Subcommands(TyperGroup):
@@ -44,11 +56,12 @@ class Subcommands(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return their names."""
-        return sorted({entry.name for entry in _entries()})
+        return sorted({*commands.OWN, *(entry.name for entry in _others())})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return one by its name, None if there is none; to be listed, only its name and what it does."""
-        for entry in _entries().select(name=cmd_name):
+        own = [entry for entry in OWN_ENTRIES if entry.name == cmd_name]
+        for entry in own or _others().select(name=cmd_name):
             return _loaded(entry) if self._called else TyperCommand(cmd_name, help=purpose(entry))
         return None
 
@@ -62,8 +75,8 @@ class Subcommands(TyperGroup):
 
 
 @functools.cache
-def _entries() -> Any:
-    """Return the entry points of all subcommands; to look for them takes a tenth of a second."""
+def _others() -> Any:
+    """Return the entry points of other packages' subcommands; to look for them takes a tenth of a second."""
     return entry_points(group=SUBCOMMANDS)
 
 
@@ -107,7 +120,7 @@ app = typer.Typer(
 
 def _show_version(asked: bool) -> None:
     if asked:
-        typer.echo(f"quadftc {version('quadftc_cli')}, Python {sys.version.split()[0]}")
+        typer.echo(f"quadftc {software_version()}, Python {sys.version.split()[0]}")
         raise typer.Exit
 
 
@@ -140,6 +153,8 @@ def guarded(arguments: list[str], command: typer.Typer = app) -> int:
         names = {f"{each.__module__}.{each.__qualname__}" for each in type(error).__mro__}
         if names & {*BAD_INPUT_ERRORS}:
             return _refuse(str(error))
+        if isinstance(error, ModuleNotFoundError) and (remedy := _remedy(error.name or "")):
+            return _refuse(f"{error.name} is not installed: {remedy}")
         if GRAPH_ERROR in names:
             _say_error(f"error: {error}")
             return INTERNAL
@@ -153,6 +168,14 @@ def guarded(arguments: list[str], command: typer.Typer = app) -> int:
         else:
             _say_error("set QUADFTC_DEBUG=1 to see where")
         return INTERNAL
+
+
+def _remedy(module: str) -> str:
+    """Return how to get a module that some commands need; empty if every command needs it."""
+    if module.partition(".")[0].startswith(ROS):
+        return "this needs ROS 2 Jazzy and the workspace (README.md)"
+    extras = [extra for extra, modules in EXTRAS.items() if module.partition(".")[0] in modules]
+    return f"pip install 'quadftc[{extras[0]}]'" if extras else ""
 
 
 def _say_error(*lines: str) -> None:

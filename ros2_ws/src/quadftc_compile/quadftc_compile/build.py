@@ -116,9 +116,9 @@ def build_library(recipe: Recipe, keep: bool = True) -> Library:
 def _make(recipe: Recipe) -> tuple[bytes, dict[str, Any]]:
     """Trace a law and compile its C; return library and record."""
     if tracer() is None:
-        raise BuildError(f"{recipe.name}: JAX is not installed, which traces laws (pip install jax)")
+        raise BuildError("JAX is not installed, which traces laws (pip install jax)")
     if compiler() is None:
-        raise BuildError(f"{recipe.name}: there is no C compiler that works (cc, gcc or clang)")
+        raise BuildError("there is no C compiler that works (cc, gcc or clang)")
     from quadftc_compile.program import write_program
 
     begin = time.process_time()

@@ -8,7 +8,6 @@ it is and what its bytes are; one that does not fit, or was made for another pro
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import os
@@ -28,6 +27,8 @@ class CacheError(OSError):
 
 def cache_folder() -> Path:
     """Return the folder, which is made if it is not there; CacheError if it cannot be used."""
+    if os.name != "posix":
+        raise CacheError("compiled laws are kept on POSIX systems only")
     home = os.environ.get("QUADFTC_CACHE")
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(home) if home else Path(base) / "quadftc" / "laws"
@@ -108,6 +109,7 @@ def lock_entry(key: str) -> Generator[None]:
     try:
         path = cache_folder() / f"{key}.lock"
         file = path.open("w")
+        import fcntl  # not on Windows
     except OSError:
         yield
         return

@@ -26,6 +26,7 @@ from quadftc_model.parameters import parameter
 from quadftc_model.samples import ALARMS, FaultEstimate, ImuSample, PositionSample, RotorReading
 from quadftc_model.stepper import seconds
 from quadftc_ros.conversions import Floats, array_of, stamp_of
+from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate, PlaceGate, PlaceParameters, SpeedGate
@@ -34,7 +35,7 @@ from quadftc_ros.node import GraphNode
 from quadftc_ros.parameters import STAYS, VehicleParameters
 from quadftc_ros.rotor_wire import RotorStatusWire
 from quadftc_ros.topics import EARTH_FRAME
-from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
+from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
 
 RAW_AFTER = 50  # samples in a row without attitude, after which the driver gives none
 RAW_IMU = (

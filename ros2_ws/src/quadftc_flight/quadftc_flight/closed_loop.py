@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from quadftc_flight.reported import ReportLog, note_reports
 from quadftc_flight.scenario import Scenario, Scheme, estimator_for
 from quadftc_model.arrays import rows_of
 from quadftc_model.guarded import Guarded
-from quadftc_model.samples import FaultEstimate, ImuSample
+from quadftc_model.samples import DiagnosisReport, FaultEstimate, ImuSample
 from quadftc_model.stepper import seconds
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count, vehicle_from
 from quadftc_sim.injector import Faulty
@@ -32,6 +32,7 @@ from quadftc_sim.rotor_fault import true_effectiveness
 
 Watch = Callable[[int, ImuSample], None]
 Rows = NDArray[np.int64]
+Record = TypeVar("Record", bound="FlightRecord")
 
 
 def fly(
@@ -46,15 +47,27 @@ def fly(
     ``engine`` runs the laws: "c", or "numpy", the reference. ``watch`` is called with stamp [ns] and content
     of each sample, as the observers get it.
     """
+    return record_flight(scenario, FlightRecord, scheme, epoch_ns, engine, watch).flight()
+
+
+def record_flight(
+    scenario: Scenario,
+    kind: type[Record],
+    scheme: Scheme | str | None = None,
+    epoch_ns: int = EPOCH_NS,
+    engine: str = "c",
+    watch: Watch | None = None,
+) -> Record:
+    """Fly as `fly` does; return the record, a `FlightRecord` or what is made of that class."""
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
     loop, count = loop_of(scenario, chosen), sample_count(scenario.duration, scenario.rate)
     draws = LoopDraws(loop, scenario.seed, count)
     flown = flown_by(engine_named(engine), loop, LoopDraws.example(loop))
-    record = FlightRecord(loop, epoch_ns, count, watch)
+    record = kind(loop, epoch_ns, count, watch)
     for begin in range(0, count, BLOCK):
         rows = min(BLOCK, count - begin)
         record.note(begin, flown.run(draws.next(rows), rows))
-    return record.flight()
+    return record
 
 
 def loop_of(scenario: Scenario, scheme: Scheme) -> ClosedLoop:
@@ -102,6 +115,11 @@ class FlightRecord:
         observation: Any = loop.observer.law
         self._reports = ReportLog(observation.observer)
 
+    @property
+    def reports(self) -> list[DiagnosisReport]:
+        """What the diagnosis published so far."""
+        return self._reports.reports
+
     def note(self, begin: int, output: LoopOutput) -> None:
         """Note what was put out from a row on, arrays (n, ...)."""
         flight, delay = self._flight, self._loop.vehicle.imu.delay
@@ -130,7 +148,7 @@ class FlightRecord:
 
     def flight(self) -> Flight:
         """Return the flight: the samples that came out before its end."""
-        note_reports(self._flight, self._reports.reports)
+        note_reports(self._flight, self.reports)
         return self._flight.first(max(len(self._flight) - self._loop.vehicle.imu.delay, 0))
 
     def _note_truth(self, rows: Rows, faulty: Faulty) -> None:

@@ -117,6 +117,15 @@ VECTORS = tuple(
 )
 
 
+def columns_by_topic(flight: Flight) -> dict[str, dict[str, NDArray[Any]]]:
+    """Return the columns by the topic and the field that tell of them."""
+    found: dict[str, dict[str, NDArray[Any]]] = {}
+    for name, column in _COLUMNS.items():
+        topic, field = column["source"]
+        found.setdefault(topic, {})[field] = getattr(flight, name)
+    return found
+
+
 def unknown_flight(stamp_ns: Int[NDArray[np.int64], " n"], rotors: int = 0) -> Flight:
     """Return a flight of which nothing is known but the stamps; its columns are there to be filled.
 

@@ -7,12 +7,8 @@ Not pure: starts the graph, writes files.
 from __future__ import annotations
 
 import dataclasses
-import json
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +22,7 @@ from quadftc_flight.flight import flight_from_bag
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphError, GraphPlan, check_options
 from quadftc_flight.graph.processes import ProcessGraph
+from quadftc_flight.run_files import commit, run_name, write_beside, write_summary
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_flight.summary import summary
 from quadftc_ros.scheduling import ORDINARY, Scheduling
@@ -33,13 +30,8 @@ from quadftc_ros.versions import versions
 from quadftc_sim.assembly import sample_count
 
 GRAPHS = {"composed": ComposedGraph, "processes": ProcessGraph}
-SUMMARY = "summary.json"
 
 Progress = Callable[[float], bool]  # called with the share of the flight that is over; False ends it early
-
-
-class RunError(Exception):
-    """A run that cannot be made with this input; the message says why."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,26 +61,6 @@ def check_namespace(namespace: str) -> None:
         raise ValueError(f"namespace = {namespace!r}: is no text") from None
 
 
-def run_name(scenario: Scenario, scheme: Scheme) -> str:
-    """Name of a run, of its directory and of its bag."""
-    return f"{scenario.name}-{scheme.name}"
-
-
-def prepare(out: Path, names: list[str], force: bool) -> None:
-    """Make room for runs in ``out``; raise a `RunError` if a name is taken and may not be replaced."""
-    for directory in (out / name for name in names if (out / name).exists()):
-        if not force:
-            advice = "choose another --out, or --force to replace the earlier run"
-            raise RunError(f"{directory}: exists; {advice}")
-        if not (directory / "metadata.yaml").is_file():
-            raise RunError(f"{directory}: is no earlier run; not replaced")
-        shutil.rmtree(directory)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunError(f"{out}: {error.strerror}") from None
-
-
 def run(
     scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, progress: Progress
 ) -> dict[str, Any] | None:
@@ -111,7 +83,7 @@ def run(
             lost = f"{kept} messages are in the bag, {status.lost} are lost; run quadftc repair {bag}"
             raise GraphError(f"{status.error}: the recording stopped, the flight went on; {lost}")
         for file in files:
-            _write(bag / file.name, file.read_text(encoding="utf-8"))
+            write_beside(bag / file.name, file.read_text(encoding="utf-8"))
     if wall_time is None:
         return None
     flight = flight_from_bag(read_bag(bag))
@@ -121,7 +93,7 @@ def run(
     result = summary(flight, scenario, scheme, wall_time)
     result |= {"mode": options.mode, "graph": options.graph, "bag": bag.name}
     result |= {"recorded": {"messages": kept, "dropped": dict(status.dropped)}}
-    result |= {"versions": {**versions(), **_commit()}}
+    result |= {"versions": {**versions(), **commit()}}
     write_summary(out, result)
     if status.dropped:
         counts = ", ".join(f"{topic} {count}" for topic, count in sorted(status.dropped.items()))
@@ -129,11 +101,6 @@ def run(
             f"{bag}: messages were lost on the way to the bag, as the writer was behind: {counts}"
         )
     return result
-
-
-def write_summary(out: Path, result: dict[str, Any]) -> None:
-    """Write the summary of a run beside its bag; ``out`` is the directory of all runs."""
-    _write(out / result["bag"] / SUMMARY, json.dumps(result, indent=2, allow_nan=False) + "\n")
 
 
 def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tuple[float | None, BagStatus]:
@@ -150,24 +117,3 @@ def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tupl
         recorder = graph.recorder
         assert recorder is not None  # the plan has a bag
         return (wall_time if going_on else None), recorder.finish()
-
-
-def _write(file: Path, text: str) -> None:
-    """Write a file beside the bag, or none."""
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        with suppress(OSError):
-            file.unlink()
-        raise GraphError(f"{file}: {error.strerror}; the bag is whole") from None
-
-
-def _commit() -> dict[str, str]:
-    """Return the commit of the source tree this code runs from, if it is one."""
-    folder = str(Path(__file__).resolve().parent)
-    command = ["git", "-C", folder, "describe", "--always", "--dirty", "--abbrev=12"]
-    try:
-        found = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return {}
-    return {"commit": found.stdout.strip()} if found.returncode == 0 else {}

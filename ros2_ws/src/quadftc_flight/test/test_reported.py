@@ -11,8 +11,8 @@ from quadftc_bags.writer import BagWriter
 from quadftc_flight.flight import NO_STATE, unknown_flight
 from quadftc_flight.reported import note_reports, reports_from
 from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, ComponentFault, DiagnosisReport
+from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.topics import DIAGNOSIS
-from quadftc_ros.wire import DiagnosisWire
 
 FIRST_NS, PERIOD_NS = 1_000_000_000, 10_000_000
 WATCHED = ("attitude", "gyro")

@@ -25,17 +25,18 @@ from quadftc_bags.bag import BagError
 from quadftc_bags.bag_file import BagFile
 from quadftc_bags.bag_format import describe_topic
 from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY
-from quadftc_flight.runs import RunError, prepare
+from quadftc_flight.run_files import RunError, prepare
 from quadftc_model.samples import FaultEstimate, ImuSample, level_sample
 from quadftc_replay.diagnose import Diagnosed, Progress, true_fault
 from quadftc_replay.imu_from_bag import CORRECTED, DATA, DROPPED, HEADER, IMU, UNTOUCHED, VECTOR
 from quadftc_replay.imu_recording import SerializedTopic, Stamps
 from quadftc_replay.plan import Replay, ReplayOptions, plan_replay
 from quadftc_ros.conversions import time_message
+from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.topics import DIAGNOSIS, EARTH_FRAME, IMU_FRAME, TOPICS
 from quadftc_ros.versions import versions
-from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire
+from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire
 from quadftc_sim.injection import TRUTH
 
 CHUNK = 1024 * 1024  # bytes

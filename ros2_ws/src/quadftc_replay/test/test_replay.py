@@ -18,7 +18,7 @@ from quadftc_bags.writer import BagWriter
 from quadftc_fdi.fault_observers.none import NoDiagnosis
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_flight.flight import Flight, flight_from_bag
-from quadftc_flight.runs import RunError
+from quadftc_flight.run_files import RunError
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import STARTING, ImuSample
 from quadftc_replay.diagnose import diagnose, flight_of, true_fault

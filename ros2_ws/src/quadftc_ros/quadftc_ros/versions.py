@@ -8,13 +8,15 @@ import platform
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from quadftc_model.versions import software_version
+
 
 def versions() -> dict[str, str]:
     """Return the versions of this software and of what it stands on."""
     from importlib.metadata import version  # takes long to import
 
     return {
-        "quadftc": version("quadftc-ros"),
+        "quadftc": software_version(),
         "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
         "rmw_implementation": get_rmw_implementation_identifier(),
         "python": platform.python_version(),

@@ -13,13 +13,11 @@ from sensor_msgs.msg import FluidPressure, Imu, MagneticField
 from std_msgs.msg import Header
 
 from quadftc_bags.cdr.message import NANOSECONDS, NumberWriter, read_message, read_numbers
-from quadftc_bags.cdr.writer import MessageWriter
 from quadftc_model.samples import (
     ABSENT,
     AttitudeCommand,
     AttitudeReference,
     ControllerOutput,
-    DiagnosisReport,
     FaultEstimate,
     ImuSample,
 )
@@ -172,31 +170,6 @@ class FaultStatusWire:
         onsets = [part for time_ns in times for part in divmod(time_ns, NANOSECONDS)]
         state, fault, std_dev = estimate.state.tolist(), estimate.fault.tolist(), estimate.std_dev.tolist()
         return self._write(stamp_ns, *state, *fault, *std_dev, *onsets)
-
-
-class DiagnosisWire:
-    """Makes serialised reports on all components."""
-
-    def __init__(self, frame: str = IMU_FRAME) -> None:
-        self._frame = frame
-
-    def __call__(self, report: DiagnosisReport) -> bytes:
-        """Return the message of a report."""
-        writer = MessageWriter(report.stamp_ns, self._frame)
-        writer.texts(report.watched)
-        writer.number("I", len(report.faults))
-        for fault in report.faults:
-            writer.text(fault.component)
-            writer.text(fault.element)
-            writer.text(fault.kind)
-            writer.number("B", fault.state)
-            writer.number("d", fault.size)
-            writer.number("d", fault.std_dev)
-            writer.text(fault.unit)
-            writer.number("d", fault.probability)
-            writer.texts(fault.ambiguous_with)
-            writer.time(fault.onset_ns)
-        return writer.data
 
 
 class ControlStatusWire:

@@ -30,9 +30,9 @@ from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEsti
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from quadftc_msgs.msg import ComponentFault, Diagnosis
 from quadftc_ros.conversions import array_of, time_message
+from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.wire import (
     ControlStatusWire,
-    DiagnosisWire,
     FaultStatusWire,
     ImuWire,
     ReferenceWire,

@@ -1,4 +1,4 @@
-"""Serialised messages of a whole topic to NumPy arrays.
+"""Serialised messages of a whole topic to NumPy arrays, and back.
 
 The messages of a topic usually have the same layout. Then each field of all messages is one slice of a matrix
 of bytes. Where they differ, every message is decoded by itself.
@@ -18,7 +18,7 @@ Names of the arrays (n messages):
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -27,7 +27,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc, Typesdict
 from rosbags.typesys import Stores, get_typestore
 
-from quadftc_bags.cdr.layout import ORIGIN, Leaf, Place, byte_order, find_layout, find_leaves
+from quadftc_bags.cdr.layout import NANOSECONDS, ORIGIN, Leaf, Place, byte_order, find_layout, find_leaves
 
 Arrays = dict[str, NDArray[Any]]
 Bytes = NDArray[np.uint8]
@@ -41,7 +41,7 @@ def decode_topic(types: Typesdict, type_name: str, messages: Sequence[bytes]) ->
     """
     if not messages:
         return {}
-    leaves = find_leaves(lambda name: [(each, *_element(field)) for each, field in types[name][1]], type_name)
+    leaves = _leaves_of(types, type_name)
     may_fit = all(leaf.kind != "object" for leaf in leaves) and len({len(data) for data in messages}) == 1
     if may_fit and (layout := find_layout(leaves, messages[0])):
         matrix = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
@@ -50,6 +50,50 @@ def decode_topic(types: Typesdict, type_name: str, messages: Sequence[bytes]) ->
         if bool(np.all(columns == columns[0])):
             return {leaf.name: _take_leaf(matrix, leaf, layout.places) for leaf in leaves}
     return _decode_each(types, type_name, leaves, messages)
+
+
+def encode_topic(types: Typesdict, type_name: str, fields: Mapping[str, Any], count: int) -> list[bytes]:
+    """Write ``count`` messages in plain little-endian CDR; ``fields`` are named as `decode_topic` names them.
+
+    A text, or list of texts, is that of all messages. A number that is not given is NaN or 0, a text and a
+    sequence empty. ValueError for a type with lists of
+    messages.
+    """
+    parts: list[Bytes] = [np.tile(np.array([0, 1, 0, 0], np.uint8), (count, 1))]
+
+    def put(values: Any, size: int) -> None:
+        raw = np.ascontiguousarray(values).view(np.uint8).reshape(count, -1)
+        gap = (ORIGIN - sum(part.shape[1] for part in parts)) % size if raw.size else 0
+        parts.extend((np.zeros((count, gap), np.uint8), raw))
+
+    for leaf in _leaves_of(types, type_name):
+        if leaf.kind == "object":
+            raise ValueError(f"{type_name}: {leaf.name} is a list of messages")
+        given = fields.get(leaf.name)
+        if leaf.kind == "string":
+            texts = [str(given or "")] if leaf.length is None else list(given or ())
+            if leaf.length == -1:
+                put(np.full(count, len(texts), "<u4"), 4)
+            for text in (f"{each}\0".encode() for each in texts):
+                put(np.full(count, len(text), "<u4"), 4)
+                put(np.tile(np.frombuffer(text, np.uint8), (count, 1)), 1)
+            continue
+        dtype = np.dtype(leaf.code).newbyteorder("<")
+        unknown: Any = np.nan if dtype.kind == "f" else 0
+        number = np.shape(given)[1] if leaf.length == -1 and given is not None else max(0, leaf.length or 1)
+        values = np.full((count, number), unknown) if given is None else np.asarray(given)
+        if leaf.kind == "time":
+            values = np.stack(np.divmod(values.astype(np.int64), NANOSECONDS), axis=-1)
+        elif given is None:
+            values = np.full((count, number * leaf.width), unknown)
+        if leaf.length == -1:
+            put(np.full(count, number, "<u4"), 4)
+        put(values.reshape(count, -1).astype(dtype), dtype.itemsize)
+    return [row.tobytes() for row in np.concatenate(parts, axis=1)]
+
+
+def _leaves_of(types: Typesdict, type_name: str) -> tuple[Leaf, ...]:
+    return find_leaves(lambda name: [(each, *_element(field)) for each, field in types[name][1]], type_name)
 
 
 def _element(content: FieldDesc) -> tuple[str, int | None]:

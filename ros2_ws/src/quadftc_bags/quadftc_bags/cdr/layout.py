@@ -16,6 +16,7 @@ from quadftc_bags.interfaces import installed_fields
 
 ORIGIN = 4  # bytes of encapsulation before the message; alignment counts from behind them
 PLAIN = (b"\x00\x00", b"\x00\x01")  # encapsulation of plain CDR, big and little endian
+NANOSECONDS = 1_000_000_000  # per second
 STAMP, FRAME_LENGTH, FRAME = 4, 12, 16  # offsets in a message that begins with a header
 
 Kind = Literal["number", "time", "vector", "string", "object"]

@@ -15,9 +15,8 @@ from typing import Any
 from rclpy.serialization import deserialize_message, serialize_message
 
 from quadftc_bags.cdr import layout
-from quadftc_bags.cdr.layout import FRAME, FRAME_LENGTH, PLAIN, STAMP
+from quadftc_bags.cdr.layout import FRAME, FRAME_LENGTH, NANOSECONDS, PLAIN, STAMP
 
-NANOSECONDS = 1_000_000_000  # per second
 _LENGTHS = struct.Struct(">I"), struct.Struct("<I")  # of frame_id, by byte order
 _STAMPS = struct.Struct(">iI"), struct.Struct("<iI")  # by byte order
 _ROOM = bytes(4096)  # more than the numbers of a message take

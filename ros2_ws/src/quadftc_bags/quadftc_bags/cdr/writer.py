@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
-from quadftc_bags.cdr.message import NANOSECONDS
+from quadftc_bags.cdr.layout import NANOSECONDS
 
 
 class MessageWriter:

@@ -40,7 +40,14 @@ def run(
         Literal["lockstep", "realtime"],
         Option(help="lockstep: as fast as it goes; realtime: by the wall clock."),
     ] = "lockstep",
-    graph: GraphOption = "composed",
+    graph: Annotated[
+        Literal["composed", "processes", "loop"] | None,
+        Option(
+            show_default=False,
+            help="All nodes in one process, or a process each, or laws alone without ROS; default: composed"
+            " where ROS 2 is installed.",
+        ),
+    ] = None,
     namespace: Annotated[str, Option(help="ROS namespace of the vehicle.")] = "",
     rate: Annotated[str, Option(help="Control rate, such as 500 or '500 Hz'.")] = "",
     seed: Annotated[str, Option(help="Seed of the random numbers.")] = "",
@@ -60,11 +67,11 @@ def run(
     ] = None,
     junit: options.JunitOption = None,
 ) -> None:
-    """Fly scenarios through the node graph; write a bag and a summary for each run."""
+    """Fly scenarios through the node graph, or without ROS; write a bag and a summary for each run."""
     from quadftc_cli.flying import fly_named  # with what it needs, a second
 
     overrides = [*set_, *([f"rate={rate}"] if rate else []), *([f"seed={seed}"] if seed else [])]
     parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
     what = (scenarios, scheme, overrides, gains, parts, label)
-    how = (graph, mode, namespace, force, (wait, realtime_priority, tuple(core)), engine)
+    how = (graph or "", mode, namespace, force, (wait, realtime_priority, tuple(core)), engine)
     raise typer.Exit(fly_named(what, out, how, jobs, junit))

@@ -4,7 +4,7 @@
 
 reads a pickled function and its arguments from standard input, calls it, and pickles what it returns into
 RESULT. Libraries that decode what comes from outside may loop, fill the memory or crash on a damaged file;
-then this process ends, and says on standard output what is wrong.
+then this process ends, and says on standard output what is wrong. Limits hold on Linux.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import ctypes
 import os
 import pickle
-import resource
 import signal
 import subprocess
 import sys
@@ -47,9 +46,10 @@ def read_bounded(path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
 
 def call_bounded(reader: Reader, read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
     """Call ``read(path, *arguments)``, a function of a module, in a process with the limits of a reader."""
-    with tempfile.NamedTemporaryFile(prefix="quadftc-") as result:
-        _run(reader, path, pickle.dumps((read, (path, *arguments))), result.name)
-        return pickle.load(result)  # written by this very package
+    with tempfile.TemporaryDirectory(prefix="quadftc-") as folder:
+        result = Path(folder, "result")
+        _run(reader, path, pickle.dumps((read, (path, *arguments))), str(result))
+        return pickle.loads(result.read_bytes())  # written by this very package
 
 
 def _run(reader: Reader, path: Path, call: bytes, result: str) -> None:
@@ -74,7 +74,7 @@ def _run(reader: Reader, path: Path, call: bytes, result: str) -> None:
     share = f"for {size / MEGABYTE:.3g} MB"
     if done.returncode == NO_MEMORY:
         raise BagError(f"{what} was stopped: more than {memory(size) >> 20} MiB of memory {share}")
-    if done.returncode == -signal.SIGXCPU:
+    if done.returncode < 0 and done.returncode == -signal.SIGXCPU:
         raise BagError(f"{what} was stopped: more than {seconds} s of processor time {share}")
     if done.returncode < 0:
         raise BagError(f"{what} crashed ({signal.Signals(-done.returncode).name})")
@@ -103,7 +103,10 @@ def memory(size: int) -> int:
 
 
 def limit_resources(seconds: int, size: int) -> None:
-    """Bound what this process can use up."""
+    """Bound what this process can use up, and let it end with its parent."""
+    import resource  # not on Windows
+
+    ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
     for what, most in (
         (resource.RLIMIT_AS, memory(size)),
         (resource.RLIMIT_CPU, seconds),
@@ -119,12 +122,12 @@ def main(arguments: list[str]) -> int:
     """Call the function from standard input with the limits of the command line."""
     parent, seconds, size = map(int, arguments[:3])
     result = Path(arguments[3])
-    ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
-    if os.getppid() != parent:  # it ended before
-        return BAD_INPUT
     try:
         read, given = pickle.load(sys.stdin.buffer)
-        limit_resources(seconds, size)
+        if sys.platform == "linux":
+            limit_resources(seconds, size)
+            if os.getppid() != parent:  # it ended before
+                return BAD_INPUT
         value = read(*given)
         with result.open("wb") as stream:
             pickle.dump(value, stream, pickle.HIGHEST_PROTOCOL)
