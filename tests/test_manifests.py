@@ -1,4 +1,4 @@
-"""package.xml of every Python package names what the package imports, and nothing that it does not."""
+"""Manifests name what is imported: package.xml for ROS, pyproject.toml for the wheel, and nothing else."""
 
 import ast
 import re
@@ -8,10 +8,26 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-PACKAGES = sorted(path.parent for path in Path(__file__).parents[1].glob("ros2_ws/src/*/setup.py"))
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = sorted(path.parent for path in ROOT.glob("ros2_ws/src/*/setup.py"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+EXTRAS = PROJECT["project"]["optional-dependencies"].values()
+NEEDED = [*PROJECT["project"]["dependencies"], *(each for extra in EXTRAS for each in extra)]
+WHEEL = {re.split(r"[><=;]", each)[0].strip() for each in NEEDED}  # what the wheel installs, with all extras
 ROSDEP = {"numpy": "python3-numpy", "scipy": "python3-scipy", "yaml": "python3-yaml"}
-# what has no key in rosdep, or an older version there: named in a comment, as PyPI calls it
-DISTRIBUTIONS = {"ruamel": "ruamel.yaml", "sklearn": "scikit-learn", "typing_extensions": "typing-extensions"}
+# what has no key in rosdep, or an older version there, comes with the wheel; PyPI calls it otherwise
+DISTRIBUTIONS = {
+    "pydantic_core": "pydantic",
+    "ruamel": "ruamel.yaml",
+    "sklearn": "scikit-learn",
+    "typing_extensions": "pydantic",  # it needs it
+    "yaml": "pyyaml",
+}
 
 # what rosdep can install: rosdep/python.yaml and jazzy/distribution.yaml of ros/rosdistro, on 2026-08-22
 KNOWN_TO_ROSDEP = {
@@ -54,15 +70,13 @@ def imported_by(package):
 def test_manifest_names_what_the_package_imports(package):
     manifest = (package / "package.xml").read_text(encoding="utf-8")
     keys = set(re.findall(r"<exec_depend>(.*)</exec_depend>", manifest))
-    comment = re.search(r"<!-- From PyPI \(requirements/app.in\): (.*?) -->", manifest)
-    from_pypi = set(comment[1].split(", ")) if comment else set()
     imports = imported_by(package)
     ours_and_ros = {name for name in imports if name.startswith("quadftc_") or name in keys}
-    others = {ROSDEP.get(name) or DISTRIBUTIONS.get(name, name) for name in imports - ours_and_ros}
-    wanted = ours_and_ros | others
-    assert wanted - keys - from_pypi == set()
+    wanted = ours_and_ros | {ROSDEP[name] for name in imports if name in ROSDEP}
+    assert wanted - keys == set()
+    assert {DISTRIBUTIONS.get(name, name) for name in imports - ours_and_ros} <= WHEEL
     # messages may be named in a table, nodes in a launch file
-    unused = {key for key in keys | from_pypi if not key.endswith(("_msgs", "_srvs", "_interfaces"))} - wanted
+    unused = {key for key in keys if not key.endswith(("_msgs", "_srvs", "_interfaces"))} - wanted
     launched = "".join(file.read_text(encoding="utf-8") for file in package.glob("launch/*.py"))
     assert {key for key in unused - {"ros2service"} if key not in launched} == set()
 
@@ -88,3 +102,12 @@ def test_manifest_names_only_keys_that_rosdep_knows(manifest):
     """Another key: look it up there, then add it above; what has none is named in the comment of PyPI."""
     keys = {str(each.text) for each in ET.parse(manifest).getroot() if each.tag.endswith("depend")}
     assert {key for key in keys if not key.startswith("quadftc_")} <= KNOWN_TO_ROSDEP
+
+
+def test_wheel_holds_every_package_that_does_without_ros_and_needs_what_they_import():
+    targets = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
+    here = [f"ros2_ws/src/{package.name}/{package.name}" for package in PACKAGES]
+    assert targets["packages"] == [each for each in here if "bringup" not in each]
+    assert all((ROOT / source).is_dir() for source in targets["force-include"])
+    imports = set().union(*map(imported_by, PACKAGES)) | {"tomli"}
+    assert {DISTRIBUTIONS.get(name, name) for name in imports} >= WHEEL
