@@ -26,7 +26,6 @@ from quadftc_model.samples import (
     NO_PLACE,
     AttitudeCommand,
     FaultEstimate,
-    ImuSample,
     RotorCondition,
     RotorEstimate,
     RotorReading,
@@ -35,18 +34,8 @@ from quadftc_model.samples import (
 from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND
 from quadftc_sim.delay_line import DelayLine
 from quadftc_sim.injection import Injection
-from quadftc_sim.injector import (
-    ChannelFault,
-    ChannelInputs,
-    FaultDraws,
-    Faulty,
-    Join,
-    JoinInputs,
-    RotorInputs,
-    RotorsFault,
-    Split,
-)
-from quadftc_sim.rotor_fault import ROTOR, healthy_rotors
+from quadftc_sim.injector import FaultDraws, Faulty, begin, inject, laws_of, without_faults
+from quadftc_sim.rotor_fault import healthy_rotors
 from quadftc_sim.sensor_draws import Due, FirstDraws, SampleDraws
 from quadftc_sim.vehicle_simulation import VehicleInputs, VehicleOutput, VehicleSimulation
 
@@ -201,7 +190,7 @@ class ClosedLoop:
         return LoopState(
             vehicle=calls.init("vehicle"),
             speeds=calls.init("speeds") if self.flies else None,
-            injections=begin_by_calls(calls, self.injections),
+            injections=begin(calls, self.injections),
             clock=calls.init("clock"),
             observer=calls.init("observer"),
             disturbance_observer=calls.init("disturbance_observer"),
@@ -241,7 +230,7 @@ class ClosedLoop:
     ) -> LoopState:
         """Put the faults on a sample that leaves the IMU, and react to it if it comes."""
         given = inputs.taken, inputs.taken_dt, inputs.faults
-        injections, faulty = inject_by_calls(
+        injections, faulty = inject(
             calls, self.injections, state.injections, motion.imu.sample, self._healthy, *given
         )
         state = state._replace(injections=injections, faulty=faulty)
@@ -301,59 +290,6 @@ class ClosedLoop:
     @property
     def _all_there(self) -> Components | None:
         return np.ones(self.vehicle.plant.command_size) if self.flies else None
-
-
-def laws_of(injections: tuple[Injection, ...]) -> dict[str, Any]:
-    """Return the laws of injections by name, for `begin_by_calls` and `inject_by_calls`."""
-    found: dict[str, Any] = {}
-    if any(each.channel != ROTOR for each in injections):
-        found |= {"split": Split(), "join": Join()}
-    for number, each in enumerate(injections, 1):
-        found[f"fault{number}"] = RotorsFault(each) if each.channel == ROTOR else ChannelFault(each)
-    return found
-
-
-def begin_by_calls(calls: Calls, injections: tuple[Injection, ...]) -> tuple[Any, ...]:
-    """Return states of injections to begin with."""
-    return tuple(calls.init(f"fault{number}") for number in range(1, len(injections) + 1))
-
-
-def inject_by_calls(
-    calls: Calls,
-    injections: tuple[Injection, ...],
-    states: tuple[Any, ...],
-    sample: ImuSample,
-    condition: RotorCondition | None,
-    time: Scalar,
-    dt: Any,
-    draws: tuple[FaultDraws | None, ...],
-) -> tuple[tuple[Any, ...], Faulty]:
-    """Put faults on a sample and on rotors in healthy ``condition``, as `quadftc_sim.injector.inject`."""
-    healthy: Any = None
-    if any(each.channel != ROTOR for each in injections):
-        _, healthy = calls.step("split", (), sample, dt)
-    channels = healthy
-    after: list[Any] = []
-    for number, (injection, state, drawn) in enumerate(zip(injections, states, draws, strict=True), 1):
-        name, channel = f"fault{number}", injection.channel
-        if channel == ROTOR:
-            assert condition is not None
-            new, condition = calls.step(name, state, RotorInputs(condition, time), dt)
-        else:
-            seen = ChannelInputs(getattr(channels, channel), time, dt, drawn)
-            new, made = calls.step(name, state, seen, dt)
-            channels = channels._replace(**{channel: made})
-        after.append(new)
-    if channels is None:
-        return tuple(after), without_faults(sample, condition)
-    _, faulty = calls.step("join", (), JoinInputs(sample, healthy, channels), dt)
-    return tuple(after), faulty._replace(rotors=condition)
-
-
-def without_faults(sample: ImuSample, condition: RotorCondition | None) -> Faulty:
-    """Return a sample as it is without faults."""
-    zeros = np.zeros(3)
-    return Faulty(sample, np.True_, zeros, zeros, zeros, condition)
 
 
 def said_at_first(law: Any) -> Any:

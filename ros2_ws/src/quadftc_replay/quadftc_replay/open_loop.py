@@ -15,14 +15,7 @@ import numpy as np
 
 from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_fdi.observation import Observation, ObservationInputs
-from quadftc_flight.loop import (
-    SampleClock,
-    begin_by_calls,
-    inject_by_calls,
-    laws_of,
-    said_at_first,
-    without_faults,
-)
+from quadftc_flight.loop import SampleClock, said_at_first
 from quadftc_flight.loop_draws import draw_faults, fault_draws
 from quadftc_model.arrays import Flag, Scalar, Vector, rows_of
 from quadftc_model.composition import Calls
@@ -31,7 +24,7 @@ from quadftc_model.samples import FaultEstimate, ImuSample, level_sample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND, seconds
 from quadftc_replay.imu_recording import Recording
 from quadftc_sim.injection import Injection
-from quadftc_sim.injector import FaultDraws, Faulty
+from quadftc_sim.injector import FaultDraws, Faulty, begin, inject, laws_of, without_faults
 
 
 class OpenInputs(NamedTuple):
@@ -77,7 +70,7 @@ class OpenLoop:
 
     def init(self, calls: Calls) -> OpenState:
         """Return a state to begin with: no sample has come."""
-        injections = begin_by_calls(calls, self.injections)
+        injections = begin(calls, self.injections)
         return OpenState(
             injections, calls.init("clock"), calls.init("observer"), said_at_first(self.observer)
         )
@@ -87,7 +80,7 @@ class OpenLoop:
         times = inputs.time, inputs.dt
         faulty = without_faults(inputs.sample, None)
         if self.injections:
-            injections, faulty = inject_by_calls(
+            injections, faulty = inject(
                 calls, self.injections, state.injections, inputs.sample, None, *times, inputs.faults
             )
             state = state._replace(injections=injections)

@@ -1,4 +1,4 @@
-"""Fault injection: a pure step for one vehicle or many flights at once, and the injector of one vehicle.
+"""Fault injection: the step of a closed loop, for one vehicle or many, and the injector of one vehicle.
 
 Both are made of the same laws, each of which can be compiled on its own:
 
@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadftc_model.arrays import Flag, Scalar, Vector, chosen, column, namespace, where
+from quadftc_model.composition import Calls
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import ImuSample, RotorCondition, level_sample
 from quadftc_model.stepper import Engine, NumpyRunner, Runner, seconds
@@ -210,45 +211,60 @@ class RotorsFault:
         return state, with_fault(inputs.condition, self.injection, inputs.time)
 
 
-def begin(injections: Sequence[Injection], sample: ImuSample) -> tuple[Any, ...]:
-    """State before the first sample; the injections are those for the period, see `Injection.for_period`."""
-    _, channels = Split().step((), sample, 0.0)
-    return tuple(
-        ()
-        if each.channel == ROTOR
-        else ChannelFault(each).init(ChannelInputs(getattr(channels, each.channel), 0.0, 0.0, None))
-        for each in injections
-    )
+def laws_of(injections: Sequence[Injection]) -> dict[str, Any]:
+    """Return the laws of injections by name, for `begin` and `inject`."""
+    found: dict[str, Any] = {}
+    if any(each.channel != ROTOR for each in injections):
+        found |= {"split": Split(), "join": Join()}
+    for number, each in enumerate(injections, 1):
+        found[f"fault{number}"] = RotorsFault(each) if each.channel == ROTOR else ChannelFault(each)
+    return found
+
+
+def begin(calls: Calls, injections: Sequence[Injection]) -> tuple[Any, ...]:
+    """Return states to begin with; the injections are those for the period, see `Injection.for_period`."""
+    return tuple(calls.init(f"fault{number}") for number in range(1, len(injections) + 1))
 
 
 def inject(
+    calls: Calls,
     injections: Sequence[Injection],
     states: Sequence[Any],
     sample: ImuSample,
+    condition: RotorCondition | None,
     time: Scalar,
-    dt: float,
+    dt: Any,
     draws: Sequence[FaultDraws | None],
-    rotors: int = 0,
 ) -> tuple[tuple[Any, ...], Faulty]:
     """Put the faults on a sample at a scenario time [s] (...), ``dt`` [s] after the one before.
 
-    The injections act in their order; ``draws`` has None for faults that are not random. Those on rotors
-    give the condition of the ``rotors`` that a vehicle in free flight has.
+    The injections act in their order, on rotors in healthy ``condition`` too; on the test stand there are
+    none. ``draws`` has None for faults that are not random.
     """
-    rotors = max((len(each.mask) for each in injections if each.channel == ROTOR), default=rotors)
-    _, healthy = Split().step((), sample, 0.0)
-    still = namespace(sample.body_rate).zeros_like(sample.body_rate, shape=(*sample.rate_valid.shape, rotors))
-    channels, condition, after = healthy, healthy_rotors(still), list[Any]()
-    for injection, state, draw in zip(injections, states, draws, strict=True):
-        if injection.channel == ROTOR:
-            new, condition = RotorsFault(injection).step(state, RotorInputs(condition, time), 0.0)
+    healthy: Any = None
+    if any(each.channel != ROTOR for each in injections):
+        _, healthy = calls.step("split", (), sample, dt)
+    channels, after = healthy, list[Any]()
+    for number, (injection, state, drawn) in enumerate(zip(injections, states, draws, strict=True), 1):
+        name, channel = f"fault{number}", injection.channel
+        if channel == ROTOR:
+            assert condition is not None
+            new, condition = calls.step(name, state, RotorInputs(condition, time), dt)
         else:
-            inputs = ChannelInputs(getattr(channels, injection.channel), time, dt, draw)
-            new, channel = ChannelFault(injection).step(state, inputs, 0.0)
-            channels = channels._replace(**{injection.channel: channel})
+            seen = ChannelInputs(getattr(channels, channel), time, dt, drawn)
+            new, made = calls.step(name, state, seen, dt)
+            channels = channels._replace(**{channel: made})
         after.append(new)
-    _, faulty = Join().step((), JoinInputs(sample, healthy, channels), 0.0)
-    return tuple(after), faulty._replace(rotors=condition if rotors else None)
+    if channels is None:
+        return tuple(after), without_faults(sample, condition)
+    _, faulty = calls.step("join", (), JoinInputs(sample, healthy, channels), dt)
+    return tuple(after), faulty._replace(rotors=condition)
+
+
+def without_faults(sample: ImuSample, condition: RotorCondition | None) -> Faulty:
+    """Return a sample as it is without faults on sensors."""
+    zeros = np.zeros(3)
+    return Faulty(sample, np.True_, zeros, zeros, zeros, condition)
 
 
 Choose = Callable[[Any], Runner[Any, Any]]  # what runs a law
@@ -371,8 +387,7 @@ class FaultInjector:
             elif condition is not None:
                 _, condition = each.runner.step((), RotorInputs(condition, time), dt)
         if not on_sensors:  # mostly
-            zeros = np.zeros(3)
-            return Faulty(sample, np.bool_(True), zeros, zeros, zeros, condition)
+            return without_faults(sample, condition)
         _, healthy = self._split.step((), sample, dt)
         channels = healthy
         for each in on_sensors:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import abc
 import dataclasses
 import math
-from collections.abc import Iterable
 from typing import Any, ClassVar, NamedTuple
 
 from quadftc_model.arrays import Components, Scalar, column, namespace, smaller, where
@@ -61,15 +60,6 @@ def with_fault(condition: RotorCondition, fault: Any, time: Scalar) -> RotorCond
         condition.stuck | (acts & effect.stuck),
         condition.unbalance + where(acts, effect.unbalance, 0.0),
     )
-
-
-def rotor_condition(faults: Iterable[Any], rotors: int, time: Scalar) -> RotorCondition:
-    """Return the condition of ``rotors`` rotors with faults at a scenario time [s] (...)."""
-    xp = namespace(time)
-    condition = healthy_rotors(xp.zeros((*xp.shape(time), rotors)))
-    for fault in faults:
-        condition = with_fault(condition, fault, time)
-    return condition
 
 
 def true_effectiveness(condition: RotorCondition) -> Components:

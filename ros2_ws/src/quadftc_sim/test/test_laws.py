@@ -6,6 +6,7 @@ import pytest
 from law_contract import assert_state_keeps_its_structure, assert_step_is_traced, structure
 from sampling import sampled
 
+from quadftc_model.composition import PlainCalls
 from quadftc_model.numbers import numbers_of, with_numbers
 from quadftc_model.parameters import build, parameters_of
 from quadftc_model.rotations import quaternion_from_euler
@@ -26,6 +27,7 @@ from quadftc_sim.injector import (
     Split,
     begin,
     inject,
+    laws_of,
 )
 from quadftc_sim.magnetometer import Magnetometer
 from quadftc_sim.plant import plants
@@ -247,7 +249,9 @@ INJECTIONS = [
 def test_injector_gives_bit_for_bit_what_the_pure_step_gives():
     injections = [make_injection(kind, values, rotors=4) for kind, values in INJECTIONS]
     injector, drawing = (FaultInjector(5, injections, rotors=4) for _ in range(2))
-    prepared, states = [each.for_period(DT) for each in injections], None
+    prepared = [each.for_period(DT) for each in injections]
+    calls, healthy = PlainCalls(laws_of(prepared)), healthy_rotors(np.zeros(4))
+    states = begin(calls, prepared)
     for index, sample in enumerate([*samples(1), *samples(2)]):
         stamp_ns, time = index * PERIOD_NS, index * PERIOD_NS / 1e9
         found = injector.apply(stamp_ns, sample)
@@ -257,8 +261,8 @@ def test_injector_gives_bit_for_bit_what_the_pure_step_gives():
             scheduled.draw() if number in running else FaultDraws(np.zeros(3), np.zeros(3))
             for number, scheduled in drawing._scheduled.items()
         ]
-        states = begin(prepared, sample) if states is None else states
-        states, expected = inject(prepared, states, sample, time, DT if index else 0.0, draws, rotors=4)
+        dt = DT if index else 0.0
+        states, expected = inject(calls, prepared, states, sample, healthy, time, dt, draws)
         assert_alike(found, expected, rtol=0.0, atol=0.0)
 
 

@@ -1,5 +1,6 @@
 """Rotor faults: their laws, their schedule, and what a vehicle in free flight makes of them."""
 
+import functools
 import math
 
 import numpy as np
@@ -13,7 +14,7 @@ from quadftc_sim.injection import make_injection
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.plants.free_flight import FreeFlight
 from quadftc_sim.plants.mujoco import Mujoco
-from quadftc_sim.rotor_fault import rotor_condition, true_effectiveness
+from quadftc_sim.rotor_fault import healthy_rotors, true_effectiveness, with_fault
 
 DT = 0.004
 VEHICLE = load_vehicle("x500")
@@ -27,7 +28,8 @@ def fault(kind, **values):
 
 
 def condition(*faults, time=1.0):
-    return rotor_condition(faults, 4, time)
+    found = healthy_rotors(np.zeros((*np.shape(time), 4)))
+    return functools.reduce(lambda before, each: with_fault(before, each, time), faults, found)
 
 
 def hovering(plant, *faults):

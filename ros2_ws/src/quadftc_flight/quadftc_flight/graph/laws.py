@@ -20,13 +20,12 @@ from quadftc_fdi.disturbance_observer import DisturbanceObservation, disturbance
 from quadftc_fdi.fault_observer import fault_observer_from
 from quadftc_fdi.observation import Observation
 from quadftc_flight.graph.plan import GraphPlan
-from quadftc_flight.loop import laws_of
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.guarded import Guarded
 from quadftc_model.parameters import parameters_of
 from quadftc_ros.parameters import VehicleParameters
 from quadftc_sim.assembly import InjectorParameters, PlantParameters, injector_from, simulator_from
-from quadftc_sim.injector import Join, Split
+from quadftc_sim.injector import Join, Split, laws_of
 
 PARAMETERS: dict[str, type] = {  # of nodes, besides those of a vehicle and of laws
     "plant": PlantParameters,
