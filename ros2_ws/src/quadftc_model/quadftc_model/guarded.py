@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
+import sys
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 from quadftc_model.arrays import Flag, branch, finite, where
 from quadftc_model.stepper import MAX_GAP, In_contra, Stepper, seconds
+
+if sys.version_info >= (3, 11):
+    from typing import NamedTuple
+else:
+    from typing_extensions import NamedTuple  # that of Python 3.10 cannot be generic
 
 In = TypeVar("In")
 Out = TypeVar("Out")
