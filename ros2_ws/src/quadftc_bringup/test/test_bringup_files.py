@@ -169,7 +169,7 @@ def reported_parts():
         for part in re.findall(r'(?:\.report|_report_fault)\(\s*f?"([^"]+)"', source.read_text()):
             for component in ("gyro", "accelerometer", "rotor") if "{component}" in part else ("",):
                 yield f"{node}: {part.format(component=component, axis='roll')}"
-    yield from (f"plant: {part}" for part in ("connections", "lifecycle", "samples", "timing"))
+    yield from (f"plant: {part}" for part in ("connections", "lifecycle", "publishers", "samples", "timing"))
 
 
 def test_monitor_shows_every_part_of_the_diagnostics_in_one_group():

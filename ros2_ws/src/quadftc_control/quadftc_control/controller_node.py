@@ -33,6 +33,7 @@ from quadftc_ros.conversions import Floats, array_of, revise_status
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
+from quadftc_ros.limits import limits_of
 from quadftc_ros.motion_wire import RotorsReader, RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.parameters import STAYS, VehicleParameters
@@ -89,6 +90,7 @@ class ControllerNode(GraphNode):
         self._mode: Mode | None = None
         self._restarts = 0  # of the law, up to the last report
         inputs = ("imu", "reference", "disturbance", *(["speeds", "rotors"] if flies else []))
+        self.limits = limits_of(law.vehicle)
         self._join = StampJoin(inputs, partial(self._act, self._manager.fly))
         self.driven_by("imu/corrected", self._on_corrected, restart=self._manager.restart, decode=wire.imu_of)
         self.reads("attitude/reference", self._on_reference, decode=wire.attitude_command_in)

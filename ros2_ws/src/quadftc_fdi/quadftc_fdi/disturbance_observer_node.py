@@ -21,6 +21,7 @@ from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import ERROR, OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate
+from quadftc_ros.limits import limits_of
 from quadftc_ros.node import GraphNode
 from quadftc_ros.parameters import STAYS, VehicleParameters
 from quadftc_ros.wire import VectorWire, imu_of, vector_of
@@ -45,6 +46,7 @@ class DisturbanceObserverNode(GraphNode):
         engine = engine_from(values, self.get_logger().info)
         self._estimation = observer.DisturbanceEstimation(build(values), engine)
         self.settings.on_change(build, self._estimation.switch)
+        self.limits = limits_of(self._estimation.observer.vehicle)
         self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(self.base_frame)
         self._gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count)
         restart = self._estimation.restart

@@ -30,6 +30,7 @@ from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate, PlaceGate, PlaceParameters, SpeedGate
+from quadftc_ros.limits import limits_of
 from quadftc_ros.motion_wire import PositionSampleReader, RotorsReader
 from quadftc_ros.node import GraphNode
 from quadftc_ros.parameters import STAYS, VehicleParameters
@@ -63,6 +64,7 @@ class FaultObserverNode(GraphNode):
         engine = engine_from(values, self.get_logger().info)
         self._diagnosis = Diagnosis(fault_observer_from(values), engine, flies)
         self.settings.on_change(fault_observer_from, self._diagnosis.switch)
+        self.limits = limits_of(self._diagnosis.observer.vehicle)
         self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire(self.imu_frame)
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
         self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire(self.imu_frame)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,9 @@ from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
 from quadftc_ros.conversions import NANOSECONDS, stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
+from quadftc_ros.guard import LOOK, Guard
 from quadftc_ros.lifecycle import ManagedNode
+from quadftc_ros.limits import Limit
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import BASE_FRAME, IMU_FRAME, PLANT_KINDS, TOPICS, PlantKind, missing_connections
@@ -83,6 +85,8 @@ class GraphNode(ManagedNode):
         self._trace_file: str = self.settings.values()["trace"]
         self._trace = MessageTrace() if self._trace_file else None
         self.diagnostics = Diagnostics(self, self.get_namespace().strip("/") or "vehicle", self._refresh, tap)
+        self.limits: Mapping[str, Limit] = {}  # of what is read; in lock-step others wait for each message
+        self.guard = Guard(self, self.diagnostics, self._tell)
         self._timing = SampleTiming(clock=not self.lockstep)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         # for time-outs: does not jump when the machine's clock is set, stands still with a paused simulation
@@ -97,7 +101,10 @@ class GraphNode(ManagedNode):
         for complaint in self.settings.unknown():
             self.get_logger().warning(complaint)
         # on the steady clock, as the time of a simulation may stand still
-        self._heartbeat = self.create_timer(HEARTBEAT[self.mode], self._beat, clock=self.steady_clock)
+        self._always = [
+            self.create_timer(HEARTBEAT[self.mode], self._beat, clock=self.steady_clock),
+            self.create_timer(LOOK, self.guard.look, clock=self.steady_clock),
+        ]
         if self.settings.values()["autostart"]:
             self.begin()
 
@@ -110,6 +117,7 @@ class GraphNode(ManagedNode):
         profile = topic_profile(row.qos, self.mode)
         publisher = self.create_publisher(load_message_class(row.type_name), topic, profile)
         self._outputs[topic] = publisher
+        self.guard.watch(topic)
         send = tapped(publisher, self._tap)
         traced = self._trace is not None and topic != "/clock"  # which has no header
         note = self._trace.noting(f"given {topic}") if self._trace is not None and traced else None
@@ -136,7 +144,8 @@ class GraphNode(ManagedNode):
         message_class = load_message_class(row.type_name)
         decode = decode or partial(read_message, message_class=message_class)
         note: Note = self._trace.noting(f"taken {topic}") if self._trace else lambda stamp_ns: None
-        receive = receiver(topic, decoding(topic, callback, decode, count), count, note)
+        limit = None if self.lockstep else self.limits.get(topic)
+        receive = receiver(topic, decoding(topic, callback, decode, count, limit), count, note)
         once = row.qos == "latched"  # it does not come again
 
         def take(data: bytes) -> None:
@@ -144,7 +153,8 @@ class GraphNode(ManagedNode):
                 receive(data)
 
         profile = topic_profile(row.qos, self.mode)
-        self._inputs[topic] = self.create_subscription(message_class, topic, take, profile, raw=True)
+        timed = not (self.lockstep or once) and (row.qos == "sensor" or bool(row.publishers))
+        self._inputs[topic] = self.guard.subscribe(topic, message_class, take, profile, timed)
 
     def driven_by(
         self,
@@ -183,7 +193,7 @@ class GraphNode(ManagedNode):
         self._begin_anew = restart
 
         def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            restart()
+            self.forget()
             response.success, response.message = True, words
             return response
 
@@ -191,6 +201,7 @@ class GraphNode(ManagedNode):
 
     def forget(self) -> None:
         """Forget what came, so that the next sample is the first."""
+        self.guard.forget()
         self._begin_anew()
 
     def must_act(self) -> str:
@@ -211,7 +222,8 @@ class GraphNode(ManagedNode):
     def destroy_node(self) -> None:
         """Stop the timer before the rest, and save the trace; in lock-step, lose no message."""
         if self.context.ok():
-            self.destroy_timer(self._heartbeat)
+            for timer in self._always:
+                self.destroy_timer(timer)
             if self.lockstep:
                 self._await_readers()
         if self._trace is not None:
@@ -266,6 +278,11 @@ class GraphNode(ManagedNode):
                 level, words = WARN, LATE_WORDS
             self.diagnostics.report("timing", level, words, **values)
         self.report()
+
+    def _tell(self) -> None:
+        """Publish the diagnostics at once; in a flight in lock-step, with the next sample."""
+        if not (self.lockstep and self._flying):
+            self.diagnostics.publish(0 if self.lockstep else self.now_ns())
 
     def _beat(self) -> None:
         """Publish the diagnostics; in lock-step only before the flight (stamp 0), then `sampled` does."""

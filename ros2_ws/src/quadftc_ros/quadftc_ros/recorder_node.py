@@ -131,7 +131,7 @@ class RecorderNode(GraphNode):
         self._takes[name] = take = taking(self._writer.input(stored))
         if subscribes:
             offered.depth = RECEIVE_DEPTH[self.mode]
-            self.create_subscription(load_message_class(row.type_name), row.name, take, offered, raw=True)
+            self.guard.subscribe(row.name, load_message_class(row.type_name), take, offered)
 
     def _taking_by_stamp(self, write: Input) -> Take:
         def take(data: bytes) -> None:

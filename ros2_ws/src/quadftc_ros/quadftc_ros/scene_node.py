@@ -64,7 +64,7 @@ class SceneNode(GraphNode):
         self._latest = Latest(self._vehicle, self.plant_kind)
         for topic in Latest.topics(self.plant_kind):
             kind = load_message_class(TOPICS[topic].type_name)
-            self.create_subscription(kind, topic, partial(self._latest.put, topic), LATEST, raw=True)
+            self.guard.subscribe(topic, kind, partial(self._latest.put, topic), LATEST)
         self._poses = {role: self.create_publisher(PoseStamped, f"scene/{role}", SHOWN) for role in ROLES}
         self._markers = self.create_publisher(MarkerArray, "scene/markers", SHOWN)
         self._shapes = {role: self._make_shape(role) for role in ROLES}

@@ -21,6 +21,7 @@ from rclpy.serialization import serialize_message
 from quadftc_bags.cdr.layout import FRAME, PLAIN
 from quadftc_bags.cdr.message import leading_frame, leading_stamp_ns
 from quadftc_ros.conversions import END_NS
+from quadftc_ros.limits import Limit
 from quadftc_ros.topics import IMU, TOPICS
 
 PIECE = 65536  # messages of a trace: a minute at 1 kHz
@@ -103,15 +104,23 @@ def receiver(topic: str, callback: Callable[[int, bytes], None], count: Count, n
 
 
 def decoding(
-    topic: str, callback: Callable[[int, Any], None], decode: Callable[[bytes], Any], count: Count
+    topic: str,
+    callback: Callable[[int, Any], None],
+    decode: Callable[[bytes], Any],
+    count: Count,
+    limit: Limit | None = None,
 ) -> Callable[[int, bytes], None]:
-    """Return ``callback`` for serialised messages; what cannot be decoded is counted."""
+    """Return ``callback`` for serialised messages; what cannot be decoded or is beyond a limit is counted."""
+    beyond = f"{topic}: more than the vehicle can do, refused"
 
     def receive(stamp_ns: int, data: bytes) -> None:
         try:
             value = decode(data)
         except ValueError:
             count(f"{topic}: unreadable")
+            return
+        if limit is not None and limit(value):
+            count(beyond)
         else:
             callback(stamp_ns, value)
 

@@ -4,10 +4,14 @@ import time
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Vector3Stamped
+from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from node_bench import NodeBench, imu_message, vector_message
+from quadftc_model.vehicle import load_vehicle
 from quadftc_ros.conversions import stamp_of
+from quadftc_ros.limits import limits_of
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import GRAPHS, crowded_topics, missing_connections
 from quadftc_ros.wire import vector_of
@@ -57,8 +61,67 @@ def test_late_sample_does_not_begin_a_new_flight_in_real_time(bench):
 
 
 def test_clock_that_was_set_back_begins_a_new_flight_in_real_time(bench):
-    stamps = [20 * SECOND, 5 * SECOND, 6 * SECOND]
-    assert driven(bench, stamps).seen == [20 * SECOND, "restart", 5 * SECOND, 6 * SECOND]
+    node, send = bench.run(Counter), bench.talk("imu/data")
+    bench.connect()
+    send(imu_message(20 * SECOND))
+    bench.until(lambda: node.seen)
+    for stamp_ns in (5 * SECOND, 6 * SECOND):
+
+        def seen(stamp_ns=stamp_ns):
+            send(imu_message(stamp_ns))  # what jumps is doubted at first
+            return stamp_ns in node.seen
+
+        bench.until(seen)
+    assert list(dict.fromkeys(node.seen)) == [20 * SECOND, "restart", 5 * SECOND, 6 * SECOND]
+
+
+def test_stamp_that_jumps_among_good_ones_is_refused(bench):
+    node, send = bench.run(Follower), bench.talk("torque/command")
+    bench.connect()
+
+    def refused():
+        stamp_ns = time.monotonic_ns()
+        send(vector_message(stamp_ns))
+        send(vector_message(stamp_ns + 3600 * SECOND))
+        return len(node.seen) > 20 and node.diagnostics.counts.total() > 20
+
+    bench.until(refused)
+    assert max(node.seen) < time.monotonic_ns()
+
+
+def test_torque_that_no_vehicle_gives_is_refused_in_real_time(bench):
+    node, send = bench.run(Follower), bench.talk("torque/command")
+    bench.connect()
+    send(vector_message(SECOND, (0.0, 0.0, 1.0)))
+    send(vector_message(SECOND + 1, (0.0, 0.0, 0.3)))
+    bench.until(lambda: node.seen)
+    assert node.seen == [SECOND + 1]
+    assert dict(node.diagnostics.counts) == {"torque/command: more than the vehicle can do, refused": 1}
+
+
+@pytest.mark.parametrize("topic", ["torque/command", "plant/attitude"], ids=["read", "published"])
+def test_second_publisher_is_reported_by_name_and_what_it_says_is_dropped(bench, topic):
+    status = bench.watch_diagnostics()
+
+    def said():
+        part = status.get("plant: publishers")
+        return part and (part.level, part.message)
+
+    node, send = bench.run(Follower), bench.talk("torque/command")
+    bench.connect()
+    for k in range(50):
+        send(vector_message(SECOND + k))
+    bench.until(lambda: len(node.seen) == 50)
+    intruder = bench._add(Node("intruder", context=bench.context))
+    second = intruder.create_publisher(Vector3Stamped, topic, 100)
+    first = "/tester" if topic == "torque/command" else "/plant"
+    bench.until(lambda: said() == (DiagnosticStatus.ERROR, f"{topic}: /intruder publishes beside {first}"))
+    second.publish(vector_message(2 * SECOND, frame="base_link"))
+    send(vector_message(SECOND + 50))
+    bench.until(lambda: len(node.seen) == 51)
+    assert max(node.seen) == SECOND + 50
+    intruder.destroy_publisher(second)
+    bench.until(lambda: said() == (DiagnosticStatus.OK, "one on each topic"))
 
 
 def test_reset_service_restarts(bench):
@@ -104,6 +167,8 @@ class Follower(GraphNode):
     def __init__(self, **kwargs):
         super().__init__("plant", **kwargs)
         self.seen = []
+        self.limits = limits_of(load_vehicle("qball_x4"))
+        self.publishes("plant/attitude")
         self.reads("torque/command", lambda stamp_ns, torque: self.seen.append(stamp_ns), decode=vector_of)
         self.ready()
 

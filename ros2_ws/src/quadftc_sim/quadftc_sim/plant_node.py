@@ -28,6 +28,7 @@ from quadftc_model.stepper import MAX_GAP, seconds
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
+from quadftc_ros.limits import limits_of
 from quadftc_ros.motion_wire import RotorsReader
 from quadftc_ros.node import GraphNode
 from quadftc_ros.rotor_wire import RotorConditionReader
@@ -79,6 +80,7 @@ class PlantNode(GraphNode):
         self._without_torque: int | None = None
         rotors = self.flight.simulator.plant.command_size
         self._output = PlantOutput(self, each_sample, self.flight.simulator.law if law.flies else None)
+        self.limits = limits_of(self.flight.simulator.plant.vehicle)
         self._topic = "rotors/command" if law.flies else "torque/command"
         decode = RotorsReader(rotors) if law.flies else vector_of
         self.reads(self._topic, self._on_command, decode=decode)
