@@ -99,6 +99,27 @@ def nodes(
 
 
 @app.command()
+def intruders(
+    graph: Annotated[str, typer.Option(help="composed or processes.")] = "composed",
+    seconds: Annotated[float, typer.Option(min=1.0, help="How long each attack lasts.")] = 10.0,
+    seed: SeedOption = 1,
+    only: Annotated[str, typer.Option(help="Only attacks that have this in their name.")] = "",
+    out: OutOption = None,
+) -> None:
+    """Let a stranger publish in flight what a node would; tell how the vehicle took it, and who noticed."""
+    from quadftc_tools.soak import intruders as part
+
+    def follow(trial: part.Trial) -> None:
+        say(
+            f"{trial.attack}: {trial.sent} sent, {trial.refused} refused, off by {trial.largest:.2f} deg,"
+            f" named after {trial.named:.2f} s: {trial.wrong or 'good'}"
+        )
+
+    done = part.soak(graph, seconds, seed, only, follow)
+    _finish(part.table(done), part.summary(done, seed), done, out)
+
+
+@app.command()
 def endurance(
     mode: Annotated[str, typer.Option(help="lockstep or realtime.")] = "lockstep",
     graph: Annotated[str, typer.Option(help="composed or processes.")] = "composed",
