@@ -122,32 +122,6 @@ def test_log_that_is_too_large_leaves_nothing_behind(client, folder):
     assert set(folder.iterdir()) == before
 
 
-def test_next_logs_are_judged_against_the_baseline_and_with_the_faults(tmp_path, monkeypatch):
-    async def run(_self, job):
-        return f"judged {job.name}"
-
-    async def content():
-        yield b"log"
-
-    async def judge():
-        jobs = Jobs(tmp_path)
-        healthy = await jobs.receive("healthy", content())
-        jobs.mark_baseline(healthy.id)
-        jobs.put_faults("bias axis=roll value=3deg start=1s\n\n")
-        with pytest.raises(ValueError, match="no_such_fault"):
-            jobs.put_faults("no_such_fault axis=roll")
-        other = await jobs.receive("other", content())
-        await asyncio.gather(*jobs._tasks.values())
-        jobs.judge_again(healthy.id)
-        assert (other.baseline, other.faults) == (healthy.id, ("bias axis=roll value=3deg start=1s",))
-        assert (healthy.baseline, healthy.faults) == ("", other.faults)  # no log is its own baseline
-        await jobs.remove(healthy.id)
-        assert jobs.baseline == ""
-
-    monkeypatch.setattr(Jobs, "_run", run)
-    asyncio.run(judge())
-
-
 MAPPING = """
 [time]
 column = "t"

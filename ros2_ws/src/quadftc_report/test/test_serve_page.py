@@ -182,16 +182,6 @@ def test_list_is_sent_again_only_if_it_changed(page):
     assert page.get("/list", headers={"If-None-Match": tag}).status_code == 200
 
 
-def test_faults_are_put_on_or_refused_with_the_reason(page, jobs):
-    fault = "bias axis=roll value=3deg start=1s"
-    assert page.post("/faults", json={"faults": f"{fault}\n"}).status_code == 204
-    assert jobs.faults == (fault,)
-    assert fault in page.get("/").text
-    refused = page.post("/faults", json={"faults": "no_such_fault axis=roll"})
-    assert refused.status_code == 400
-    assert "no_such_fault" in refused.json()["detail"]
-
-
 def test_page_names_the_button_and_loads_nothing(page):
     text = page.get("/").text
     assert "Plotly.newPlot" not in text

@@ -1,7 +1,6 @@
 """Judge one log in a process of its own.
 
     python -m quadftc_report.serve.job LOG DIR [--log=N] [--system=N] [--mapping=FILE]
-        [--baseline=LOG] [--baseline-log=N] [--fault=SPEC]...
 
 writes ``verdict.json``, ``report.html`` and ``picture.svg`` into DIR. Standard output has each stage as it
 begins, a line of `STAGES`, and last, with exit code 2, one line that says what is wrong with the log.
@@ -56,9 +55,6 @@ def main() -> int:
     parser.add_argument("--log", type=int, default=0, dest="number")
     parser.add_argument("--system", type=int, default=0)
     parser.add_argument("--mapping", type=Path)
-    parser.add_argument("--baseline", type=Path)
-    parser.add_argument("--baseline-log", type=int, default=0)
-    parser.add_argument("--fault", action="append", default=[])
     asked = parser.parse_args()
     log, stage = asked.log, ""
 
@@ -71,12 +67,7 @@ def main() -> int:
 
     enter(STAGES[0])
     try:
-        options = DiagnosisOptions(
-            choice=LogChoice(asked.number, asked.system, asked.mapping),
-            baseline=asked.baseline,
-            baseline_log=asked.baseline_log,
-            faults=tuple(asked.fault),
-        )
+        options = DiagnosisOptions(choice=LogChoice(asked.number, asked.system, asked.mapping))
         inspection = diagnose_log(log, options, lambda share: enter(stage_of(share)))
     except MemoryError:
         sys.stdout.write("the log needs more memory than it may have\n")

@@ -6,8 +6,6 @@
     FOLDER/<id>/verdict.json   and what else the judgement wrote
 
 The id is made here. Of the file's name only letters, digits, dots, hyphens and underscores get into a path.
-A log that is marked as the baseline, and faults to overlay, count for the logs that come next, and for those
-that are judged again.
 """
 
 from __future__ import annotations
@@ -26,7 +24,6 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from quadftc_replay.inspection.verdict import Verdict
-from quadftc_replay.overlay import faults_from
 from quadftc_report.serve.job import PICTURE, STAGES
 from quadftc_report.serve.local import make_private
 
@@ -39,7 +36,7 @@ RESULTS = {
 }  # handed out
 ID = re.compile(r"[0-9]{8}T[0-9]{6}-[0-9a-f]{8}")
 LONGEST_NAME = 80  # characters
-LONGEST = 1 << 16  # characters of a mapping or of faults
+LONGEST = 1 << 16  # characters of a mapping
 LONGEST_LINE = 4096  # bytes of what a process says
 PATIENCE = 3600.0  # s; a judgement that takes longer is stopped
 INTERRUPTED = "interrupted: the page was closed before the log was judged"
@@ -61,8 +58,6 @@ class Job(BaseModel):
     state: State = "waiting"
     message: str = ""  # why it failed
     stage: str = ""  # of `STAGES`, while it runs
-    baseline: str = ""  # id of the healthy log it is judged against
-    faults: tuple[str, ...] = ()  # specifications of faults that are put on it first
     log: int = 0  # which of several logs in the file; 0: the only one
     system: int = 0  # which of several vehicles, by its MAVLink system; 0: the only one
     mapping: str = ""  # what the columns of a table mean
@@ -95,8 +90,6 @@ class Jobs:
         make_private(self.folder)
         self.largest = largest  # bytes of one upload
         self.version = 0  # grows whenever something changes
-        self.baseline = ""  # id of the log that the next ones are judged against
-        self.faults: tuple[str, ...] = ()  # that are put on the next ones
         self._jobs: dict[str, Job] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._places = asyncio.Semaphore(at_a_time)
@@ -130,20 +123,8 @@ class Jobs:
         self._start(job)
         return job
 
-    def mark_baseline(self, key: str) -> None:
-        """Judge the next logs against this one, if there is such a one; empty: against none."""
-        self.baseline = key if key in self._jobs else ""
-        self.version += 1
-
-    def put_faults(self, text: str) -> None:
-        """Put faults on the next logs, a specification a line; a ValueError says in a line what is wrong."""
-        specs = tuple(line for each in text.splitlines() if (line := each.strip()))
-        faults_from((), specs)
-        self.faults = specs
-        self.version += 1
-
     def judge_again(self, key: str) -> None:
-        """Judge a log once more, with the baseline and the faults of now; nothing happens while it runs."""
+        """Judge a log once more; nothing happens while it runs."""
         if (job := self._jobs.get(key)) is None or key in self._tasks:
             return
         for name in RESULTS:
@@ -159,14 +140,8 @@ class Jobs:
             setattr(job, name, value)
         self.judge_again(key)
 
-    def name_of(self, key: str) -> str:
-        """Name of a log; empty if there is none of this id."""
-        return self._jobs[key].name if key in self._jobs else ""
-
     def _start(self, job: Job) -> None:
-        job.baseline, job.faults, job.state = self.baseline, self.faults, "waiting"
-        if job.baseline == job.id:
-            job.baseline = ""
+        job.state = "waiting"
         self._note(job)
         self._tasks[job.id] = asyncio.create_task(self._judge(job))
 
@@ -179,7 +154,6 @@ class Jobs:
             with contextlib.suppress(asyncio.CancelledError):
                 await task
         self._jobs.pop(key, None)
-        self.baseline = "" if self.baseline == key else self.baseline
         await asyncio.to_thread(shutil.rmtree, self.folder / key, ignore_errors=True)
         self.version += 1
 
@@ -224,18 +198,12 @@ class Jobs:
 
     async def _run(self, job: Job) -> str:
         """Run the process that judges; return what is wrong, empty if nothing is."""
-        options = [f"--fault={spec}" for spec in job.faults]
-        options += [
-            f"--{name}={number}" for name, number in (("log", job.log), ("system", job.system)) if number
-        ]
+        numbers = (("log", job.log), ("system", job.system))
+        options = [f"--{name}={number}" for name, number in numbers if number]
         if job.mapping:
             mapping = self.folder / job.id / MAPPING
             mapping.write_text(job.mapping, "utf-8")
             options.append(f"--mapping={mapping}")
-        if job.baseline:
-            if (healthy := self._jobs.get(job.baseline)) is None:
-                return "its baseline was removed"
-            options += [f"--baseline={self._log(healthy)}", f"--baseline-log={healthy.log}"]
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "quadftc_report.serve.job", self._log(job), self.folder / job.id),
             *options,

@@ -7,13 +7,12 @@ import re
 import secrets
 from typing import NamedTuple
 
-from fastapi import FastAPI, HTTPException, Request
+from fastapi import FastAPI, Request
 from fastapi.responses import HTMLResponse, Response
-from pydantic import BaseModel, Field
 
 from quadftc_report.page import render_template
 from quadftc_report.serve.job import STAGES
-from quadftc_report.serve.jobs import LONGEST, PICTURE, REPORT, VERDICT, Choice, Job, Jobs
+from quadftc_report.serve.jobs import PICTURE, REPORT, VERDICT, Choice, Job, Jobs
 
 FORMATS = (
     "ROS 1 and ROS 2 bags, PX4 ULog, ArduPilot .BIN and .log, MAVLink .tlog, Betaflight and INAV blackbox,"
@@ -33,12 +32,6 @@ quantity = "gyro"
 columns = ["gyro_x", "gyro_y", "gyro_z"]
 unit = "rad/s"
 """  # to begin with
-
-
-class Faults(BaseModel):
-    """Faults that are put on the next logs, a specification a line."""
-
-    faults: str = Field("", max_length=LONGEST)
 
 
 class Question(NamedTuple):
@@ -96,13 +89,6 @@ def add_page(app: FastAPI, jobs: Jobs) -> None:
             return Response(status_code=304)
         return HTMLResponse(render_list(jobs), headers={**NO_FRAMES, "ETag": tag})
 
-    @app.post("/faults", status_code=204)
-    async def faults(wanted: Faults) -> None:
-        try:
-            jobs.put_faults(wanted.faults)
-        except ValueError as error:
-            raise HTTPException(400, str(error)) from None
-
     @app.post("/logs/{key}/choice", status_code=204)
     async def choose(key: str, choice: Choice) -> None:
         jobs.choose(key, choice)
@@ -110,10 +96,6 @@ def add_page(app: FastAPI, jobs: Jobs) -> None:
     @app.post("/logs/{key}/again", status_code=204)
     async def again(key: str) -> None:
         jobs.judge_again(key)
-
-    @app.post("/logs/{key}/compare", status_code=204)
-    async def compare(key: str) -> None:
-        jobs.mark_baseline("" if jobs.baseline == key else key)
 
     @app.post("/logs/{key}/remove", status_code=204)
     async def remove(key: str) -> None:
