@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import re
 import shutil
 import subprocess
 import tempfile
@@ -16,7 +14,6 @@ from quadftc_compile.build import BuildError
 from quadftc_compile.export import FLAGS
 
 ARM = "arm-none-eabi-"
-DOUBLES = re.compile(r"__aeabi_(?:d\w+|\w+2d)$|\w+df\d?$")  # what does arithmetic in double without hardware
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +21,6 @@ class Target:
     """A processor."""
 
     name: str
-    board: str  # of QEMU
     flags: tuple[str, ...]
     reals: tuple[str, ...]  # what its hardware computes in
 
@@ -34,8 +30,8 @@ class Target:
         return [f"{ARM}gcc", "-mthumb", "-mfloat-abi=hard", *self.flags]
 
 
-CORTEX_M7 = Target("Cortex-M7", "mps2-an500", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16"), ("double", "float"))
-CORTEX_M4F = Target("Cortex-M4F", "mps2-an386", ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16"), ("float",))
+CORTEX_M7 = Target("Cortex-M7", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16"), ("double", "float"))
+CORTEX_M4F = Target("Cortex-M4F", ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16"), ("float",))
 TARGETS = (CORTEX_M7, CORTEX_M4F)
 
 
@@ -49,13 +45,7 @@ class Footprint:
     stack: int  # of a step, without that of libm
     calls: tuple[str, ...]  # functions that it takes from libraries
 
-    @property
-    def doubles(self) -> list[str]:
-        """Functions that do arithmetic in double."""
-        return [each for each in self.calls if DOUBLES.match(each)]
 
-
-@functools.cache
 def has_compiler() -> bool:
     """Whether there is a compiler for these processors."""
     return shutil.which(f"{ARM}gcc") is not None

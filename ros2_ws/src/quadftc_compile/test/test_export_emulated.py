@@ -1,22 +1,22 @@
-"""An exported law on emulated microcontrollers: the numbers that it gives here, and what it takes there.
+"""An exported law on emulated microcontrollers gives the numbers that it gives here.
 
 A machine without arm-none-eabi-gcc and qemu-system-arm leaves these tests out.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from quadftc_compile.build import BuildError
-from quadftc_compile.emulation import can_emulate, emulate
 from quadftc_compile.footprint import CORTEX_M4F, CORTEX_M7, footprint_of, footprints_of
 
 pytest.importorskip("jax")
 sys.path.insert(0, str(Path(__file__).parent))
+from emulation import can_emulate, emulate
 from exported_laws import (
     COUNT,
     built,
@@ -30,37 +30,12 @@ from exported_laws import (
 
 pytestmark = pytest.mark.skipif(not can_emulate(), reason="there is no compiler or emulator for Cortex-M")
 LIBM = Path(__file__).parent / "shared_libm.c"
+DOUBLES = re.compile(r"__aeabi_(?:d\w+|\w+2d)$|\w+df\d?$")  # arithmetic in double without hardware
 CASES = [
     ("double", CORTEX_M7),
     pytest.param(("float", CORTEX_M7), marks=pytest.mark.thorough),
     ("float", CORTEX_M4F),
 ]
-LOOPS = 12345
-COUNTED = f"""\
-#include "counted.h"
-
-void counted_step(const void *a, const void *b, const void *c, const void *d, void *e, void *f)
-{{
-    unsigned count = {LOOPS};
-    volatile char deep[5000];
-    deep[0] = 0;
-    (void)a, (void)b, (void)c, (void)d, (void)e, (void)f, (void)deep[0];
-    __asm__ volatile("1: subs %0, #1\\n\\tbne 1b" : "+r"(count) : : "cc"); /* two instructions */
-}}
-"""
-COUNTED_HEADER = (
-    "void counted_step(const void *, const void *, const void *, const void *, void *, void *);\n"
-)
-COUNTED_MAIN = """\
-#include <stdio.h>
-#include "counted.h"
-
-int main(void)
-{
-    for (int k = 0; k < 3; k++) counted_step(0, 0, 0, 0, 0, 0);
-    return printf("done\\n") < 0;
-}
-"""
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: f"{case[1].name}-{case[0]}")
@@ -80,44 +55,22 @@ def test_a_microcontroller_gives_the_bits_of_this_machine_with_the_same_libm(cas
     libm.write_text(single + LIBM.read_text(encoding="utf-8"), encoding="utf-8")
     told = run(built(exported, folder, "-fno-builtin", str(libm)), samples)  # or there is a sincos of its own
     assert told.returncode == 0, told.stderr
-    assert emulate(folder, exported.name, target, samples, [libm]).said == told.stdout
+    assert emulate(folder, exported.name, target, samples, tmp_path, [libm]).stdout == told.stdout
 
 
-def test_with_its_own_libm_a_microcontroller_differs_by_rounding(case):
+def test_with_its_own_libm_a_microcontroller_differs_by_rounding(case, tmp_path):
     exported, target, folder, samples = case
     here = table_of(run(built(exported, folder), samples).stdout)
-    there = table_of(emulate(folder, exported.name, target, samples).said)
+    there = table_of(emulate(folder, exported.name, target, samples, tmp_path).stdout)
     assert here.shape == (COUNT, 4)
     tolerance = 1e-13 if exported.real == "double" else 1e-5
     np.testing.assert_allclose(there, here, rtol=tolerance, atol=tolerance * np.abs(here).max())
 
 
-def test_instructions_and_stack_are_as_expected(case):
-    exported, target, folder, samples = case
-    found = emulate(folder, exported.name, target, samples)
-    frame = footprint_of(folder, exported.name, target).stack
-    assert found.steps == COUNT
-    assert 300 < found.instructions <= found.most_instructions < 5000  # some 20 functions of libm
-    assert frame < found.stack < frame + 600
-
-
-def test_the_meter_counts_instructions_and_stack_that_are_known(tmp_path):
-    for name, content in (("counted.c", COUNTED), ("counted.h", COUNTED_HEADER), ("main.c", COUNTED_MAIN)):
-        (tmp_path / name).write_text(content)
-    (tmp_path / "none.csv").write_text("")
-    for target in (CORTEX_M7, CORTEX_M4F):
-        found = emulate(tmp_path, "counted", target, tmp_path / "none.csv")
-        assert found.said == "done\n"
-        assert found.steps == 3
-        assert found.instructions == pytest.approx(2 * LOOPS, abs=20)  # and those around the loop
-        assert found.most_instructions == pytest.approx(2 * LOOPS, abs=20)
-        assert 5000 <= found.stack < 5200
-
-
 def test_float_hides_no_double(case):
     exported, target, folder, _ = case
     footprint = footprint_of(folder, exported.name, target)
-    assert footprint.doubles == []
+    assert not list(filter(DOUBLES.match, footprint.calls))
     taken = ("asin", "atan2", "cos", "exp", "log", "sin", "tan")
     suffix = "f" if exported.real == "float" else ""
     assert {*footprint.calls} - {"memcpy", "memset"} == {f"{each}{suffix}" for each in taken}
@@ -127,7 +80,8 @@ def test_float_hides_no_double(case):
 
 def test_double_without_hardware_is_noticed(tmp_path):
     exported = exported_waves("double")
-    assert footprint_of(written(exported, tmp_path), exported.name, CORTEX_M4F).doubles
+    calls = footprint_of(written(exported, tmp_path), exported.name, CORTEX_M4F).calls
+    assert list(filter(DOUBLES.match, calls))
 
 
 def test_each_precision_is_measured_where_hardware_has_it(tmp_path):
@@ -141,5 +95,6 @@ def test_each_precision_is_measured_where_hardware_has_it(tmp_path):
 def test_an_example_that_fails_there_says_why(case, tmp_path):
     exported, target, folder, _ = case
     (tmp_path / "bad.csv").write_text("dt\n")
-    with pytest.raises(BuildError, match=r"standard input:1: expected .* columns, found 1"):
-        emulate(folder, exported.name, target, tmp_path / "bad.csv")
+    told = emulate(folder, exported.name, target, tmp_path / "bad.csv", tmp_path)
+    assert told.returncode == 1
+    assert re.search(r"standard input:1: expected .* columns, found 1", told.stderr)
