@@ -23,7 +23,7 @@ from quadftc_tools.bench.latency import (
     statistics,
     unrecorded,
 )
-from quadftc_tools.bench.lockstep import APART, forms
+from quadftc_tools.bench.lockstep import forms
 from quadftc_tools.bench.machine import Usage, machine, slowness
 from quadftc_tools.bench.step import cases
 
@@ -145,7 +145,7 @@ SHORT_FLIGHT = ["latency", "--duration", "1.5", "--rate", "100"]
     [
         (["step", "--batches", "2", "--only", "sliding_mode", "--only", "exosystem"], "step_c"),
         (["step", "--batches", "2", "--only", "geometric", "--engine", "numpy"], "step_numpy"),
-        (["lockstep", "--duration", "0.5", "--repeat", "1", "--vehicles", "2"], "lockstep"),
+        (["lockstep", "--duration", "0.5", "--repeat", "1"], "lockstep"),
         (SHORT_FLIGHT, "latency"),
         pytest.param(
             [*SHORT_FLIGHT, "--graph", "processes", "--no-record"], "latency", marks=pytest.mark.thorough
@@ -171,9 +171,9 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, arguments, kind):
             assert result["recorded"]["stored"] > answered
     if kind == "lockstep":
         flown = [(row["form"], row["engine"]) for row in written["results"]]
-        assert flown == forms(2, ["c", "numpy"])
+        assert flown == forms(["c", "numpy"])
         for row in written["results"]:
-            steps = row["rate"] * row["vehicles"] * row["real_time_factor"]  # in a second
+            steps = row["rate"] * row["real_time_factor"]  # in a second
             assert row["sample_us"] * steps == pytest.approx(1e6, rel=0.02)
     if kind == "step_c":
         rows = {(row["law"], row["place"]): row for row in written["results"]}
@@ -187,10 +187,6 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, arguments, kind):
         (row,) = written["results"]
         assert "statements" not in row
     assert "load" in capfd.readouterr().out
-
-
-def test_processes_for_each_vehicle_are_measured_for_more_than_one():
-    assert set(forms(2)) - set(forms(1)) == {(APART, "c")}
 
 
 def test_every_registered_law_has_its_costs_where_it_can_fly():

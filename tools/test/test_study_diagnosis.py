@@ -1,4 +1,4 @@
-"""The study of diagnosis: tables, figures and page from tables that one can work out by hand; the bound."""
+"""The study of diagnosis: tables, figures and page from tables that one can work out by hand."""
 
 from __future__ import annotations
 
@@ -13,16 +13,13 @@ import pytest
 
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.flights import flight_scenario
-from quadftc_campaign.open_loop import AGES, flatten
+from quadftc_campaign.open_loop import flatten
 from quadftc_campaign.table import table_of
 from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import unknown_flight
-from quadftc_flight.scenario import load_scenario
 from quadftc_model.samples import FAULTY
 from quadftc_model.samples import HEALTHY as TRUSTED
-from quadftc_sim.sensors import GRADES, ImuSensor
-from quadftc_tools.study.bound import AVERAGING, attitude_std_dev, fault_bound
 from quadftc_tools.study.diagnosis import make
 from quadftc_tools.study.diagnosis_quiet import (
     GROUPS,
@@ -31,32 +28,20 @@ from quadftc_tools.study.diagnosis_quiet import (
     outlier_table,
     quiet_results,
     sum_up_healthy,
-    sum_up_long,
     sum_up_outliers,
 )
 from quadftc_tools.study.diagnosis_results import (
-    CRITERIA,
-    SCENARIO,
     TITLES,
     characteristics,
-    consistency,
     operating_point,
     setting_results,
     sum_up,
 )
-from quadftc_tools.study.diagnosis_tables import (
-    bound_table,
-    fault_table,
-    isolation_table,
-    metric_table,
-    tables,
-    worst_table,
-)
+from quadftc_tools.study.diagnosis_tables import CRITERIA, metric_table, tables
 from quadftc_tools.study.page import publish, with_tables
 
 ROOT = Path(__file__).resolve().parents[2]
 MEMS = CRITERIA["mems"]
-RATE = 250.0  # Hz
 PER_AXIS = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
 HEALTHY = {"roll": 1200.0, "pitch": 1200.0, "yaw": 1200.0}  # s: an hour in all
 EVENT: dict[str, Any] = {
@@ -87,8 +72,6 @@ EVENT: dict[str, Any] = {
 }
 STEP = {
     "spec": f"bias channel=attitude axes=roll start=20.0 stop=40.0 value={math.radians(-2.0)!r}",
-    "errors_deg": [0.1] * len(AGES),
-    "std_devs_deg": [0.05] * len(AGES),
 }
 
 
@@ -117,7 +100,6 @@ def flown(number: int, variant: str, event: dict[str, Any] | None = None, **kind
 
 RAMP = {"kind": "ramp", "axis": "yaw", "start": 50.0, "stop": 70.0}
 RAMP |= {"spec": f"drift channel=attitude axes=yaw start=50.0 stop=70.0 rate={math.radians(0.07)!r}"}
-NOTHING = {"errors_deg": [None] * len(AGES), "std_devs_deg": [None] * len(AGES)}
 MISSED = {
     **RAMP,
     "detected": False,
@@ -127,17 +109,11 @@ MISSED = {
     "estimate_rmse_deg": 1.5,
     "nees": None,
     "coverage_2_sigma": None,
-    **NOTHING,
 }
 
 
 def frame_of(*events: dict[str, Any], variant: str = "supervised") -> pl.DataFrame:
     return table_of([flown(number, variant, event) for number, event in enumerate(events)])
-
-
-def two_observers() -> pl.DataFrame:
-    frames = [frame_of({}, MISSED, variant=name) for name in ("supervised", "threshold")]
-    return pl.concat(frames, how="diagonal_relaxed")
 
 
 def rows_of(table: str) -> dict[str, list[str]]:
@@ -157,20 +133,15 @@ def test_metrics_are_those_of_the_records_and_bold_where_they_reach_the_target()
     assert rows["RMSE of the estimate, median / 95 %"][:2] == ["0.08 / 0.25 deg", "**0.05 / 0.05 deg**"]
     assert rows["RMSE of the estimate, median / 95 %"][2] == "0.775 / 1.43 deg"
     assert rows["false alarms, share of healthy time"] == ["0 %", "1 %", "1 %"]
-    assert rows["false alarms per hour"] == ["-", "2", "2"]
     assert rows["longest false alarm"] == ["-", "20 s", "20 s"]
     assert rows["recovery delay, median / 95 %"] == ["-", "700 / 700 ms", "700 / 700 ms"]
     assert rows["errors within 2 standard deviations"] == ["-", "95 %", "95 %"]
 
 
-def test_isolating_stands_beside_supervised_where_both_were_flown():
+def test_isolating_has_no_column_of_its_own():
     both = pl.concat([frame_of({}), frame_of(MISSED, variant="isolating")], how="diagonal_relaxed")
-    alone = setting_results("ahrs", frame_of({}), None, {"seed": 1})
-    found = tables({"mems": setting_results("mems", both, None, {"seed": 1}), "ahrs": alone})["beside"]
-    rows = rows_of(found)
-    assert rows["simulated MEMS IMU"][:3] == ["1", "0 (0) → 1 (0)", "8 ms → -"]
-    assert len(rows) == 3
-    assert "beside" not in tables({"ahrs": alone})
+    made = tables({"mems": setting_results("mems", both, None, {"seed": 1})})
+    assert rows_of(made["mems"])[""] == ["target", "`supervised`"]
 
 
 def test_observer_without_detector_is_judged_by_the_size_of_its_estimate():
@@ -179,30 +150,6 @@ def test_observer_without_detector_is_judged_by_the_size_of_its_estimate():
     assert rows["missed (declared before the onset)"] == ["0 (0)", "**0 (0)**"]
     assert rows["delay, step, max"] == ["20 ms", "**4 ms**"]
     assert rows["false alarms, share of healthy time"] == ["0 %", "10 %"]
-    assert rows["false alarms per hour"] == ["-", "-"]
-
-
-def test_faults_are_counted_by_kind_and_size():
-    spec = f"bias channel=attitude axes=roll start=20.0 stop=40.0 value={math.radians(5.0)!r}"
-    biggest = {"already_declared": True, "spec": spec}
-    lines = fault_table(MEMS, {"supervised": sum_up(frame_of({}, MISSED, biggest))}).splitlines()
-    assert "| step | 1 to 2 deg | 0 | 0, 0 |" in lines
-    assert "| step | 2 to 5 deg | 2 | 1, 0 |" in lines  # 2 belongs to it, and 5; one was declared before
-    assert "| ramp | 0.05 to 0.1 deg/s | 1 | 1, 1 |" in lines
-    assert len(lines) == 2 + 9
-
-
-def test_worst_faults_come_first():
-    lines = worst_table(sum_up(frame_of({}, MISSED))["faults"]).splitlines()
-    assert lines[2] == "| 1 | yaw, 50 s | ramp of 0.07 deg/s | missed | 1.5 deg | 0.2 deg |"
-    assert lines[3] == "| 0 | roll, 20 s | step of -2 deg | 8 ms | 0.05 deg | 0.2 deg |"
-
-
-def test_isolation_is_in_shares_of_the_time():
-    lines = isolation_table(sum_up(frame_of({}, {}))).splitlines()
-    assert "| roll faulty | 95 % | 5 % | 0 % | 5 % | 40 s |" in lines
-    assert "| step | 95 % | 5 % | 5 % | 40 s |" in lines
-    assert lines[-1] == "Isolation accuracy of `supervised`: 94.7 % of 38 s."
 
 
 def test_alarms_of_healthy_flights_are_those_of_each_recording_and_of_all():
@@ -231,29 +178,6 @@ def test_outliers_are_counted_by_their_length_and_the_declaration_after_them_is_
 def test_a_fault_and_its_axes_may_both_be_drawn():
     drawn = {"faults.0": "bias", "faults.0.axes": "roll"}
     assert sum_up(table_of([{**flown(0, "supervised"), **drawn}]))["pooled"]["fault_count"] == 1
-
-
-def test_steps_that_last_are_summed_up_over_all_of_them():
-    found = sum_up_long(frame_of({"declared_share": 1.0}, {**MISSED, "declared_share": 0.5}))
-    assert (found["count"], found["missed"]) == (2, 1)
-    assert (found["declared_share_mean"], found["declared_share_min"]) == (0.75, 0.5)
-    assert found["coverage_2_sigma_min"] == 0.95
-
-
-def test_error_and_standard_deviation_are_held_against_the_bound_of_their_window():
-    of_second = {**RAMP, "spec": RAMP["spec"].replace("rate=0.00", "rate=0.07")}
-    faults = sum_up(frame_of({}, of_second, MISSED))["faults"]
-    found = consistency(faults, load_scenario(SCENARIO))
-    assert found["declared"] == [pytest.approx(2.0 / 3.0)] * len(AGES)
-    assert found["rms_deg"] == [pytest.approx(0.1)] * len(AGES)
-    ratios, errors = found["std_dev_over_bound"], found["rms_over_bound"]
-    assert ratios[-1] < ratios[0]  # the bound grows
-    assert all(
-        error == pytest.approx(2.0 * ratio, rel=0.02) for error, ratio in zip(errors, ratios, strict=True)
-    )
-    lines = bound_table(found).splitlines()
-    assert [line.split("|")[1].strip() for line in lines[2:]] == ["1 s", "5 s", "10 s", "20 s"]
-    assert "bound_deg" not in consistency(faults, None)
 
 
 def test_curves_add_up_and_points_have_their_level():
@@ -304,7 +228,6 @@ def results() -> dict[str, Any]:
     manifest = {"seed": 1}
     return {
         "mems": setting_results("mems", both, None, manifest),
-        "mems_one_axis": setting_results("mems_one_axis", frame_of({}), None, manifest),
         **{name: quiet_results(name, both, manifest) for name in QUIET},
     }
 
@@ -313,18 +236,18 @@ def test_campaigns_become_tables_and_figures_the_same_each_time(tmp_path: Path):
     both = pl.concat(
         [frame_of({}, MISSED), frame_of({}, MISSED, variant="threshold")], how="diagonal_relaxed"
     )
-    for name, frame in {"mems": both, "mems_one_axis": frame_of({}), "long": both}.items():
+    for name, frame in {"mems": both, "outliers": both}.items():
         directory = tmp_path / f"study_diagnosis_{name}"
         directory.mkdir()
         frame.write_parquet(directory / "flights.parquet")
         (directory / "campaign.json").write_text('{"seed": 1}')
     made, drawers = make(tmp_path)
-    names = ("flown", "mems", "faults-mems", "worst-mems", "isolation-mems", "bound", "long")
+    names = ("flown", "mems", "outliers")
     assert set(made) == set(names)
     page = tmp_path / "diagnosis.md"
     page.write_text("".join(f"<!-- table: {name} -->\n<!-- end -->\n" for name in names))
     files = publish(page, made, drawers)
-    assert [file.suffix for file in files] == [".md", *[".png"] * 4]
+    assert [file.suffix for file in files] == [".md", *[".png"] * 2]
     contents = [file.read_bytes() for file in files]
     assert all(content.startswith(b"\x89PNG") for content in contents[1:])
     assert b"| missed (declared before the onset) | 0 (0) | 1 (0) | 1 (0) |" in contents[0]
@@ -340,8 +263,7 @@ def test_directory_without_campaigns_is_refused(tmp_path: Path):
 def test_document_of_the_repository_has_a_place_for_every_table():
     text = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
     assert with_tables(text, {}, "docs/diagnosis.md") == text
-    names = {"tactical", "ahrs", "flips", "recordings-each", "beside", *tables(results())}
-    for name in names | {name.replace("mems", "recordings") for name in names}:
+    for name in {*TITLES, *tables(results())}:
         assert text.count(f"<!-- table: {name} -->") == 1
 
 
@@ -356,40 +278,9 @@ def test_campaigns_of_the_study_load_with_every_observer(name: str, tmp_path: Pa
         assert "none" not in names
     for variant in campaign.variants:
         scenario = flight_scenario(campaign, 0, variant)
-        law = scenario.scheme("diagnosis").observer.law
-        if variant.name == "supervised":
-            assert getattr(law, "tracking") == AVERAGING  # noqa: B009  # so does the bound
         assert variant.parameters == () or "@" in variant.name  # every observer has its defaults
         axes = [fault.axes for fault in scenario.faults[:3]]
-        assert "one_axis" in name or axes == ([] if "healthy" in name else [("roll",), ("pitch",), ("yaw",)])
-
-
-# --- bound
-
-
-def test_bound_is_the_closed_form_of_the_theory():
-    grade, dt, healthy, length = GRADES["mems"], 1.0 / RATE, 20.0, 20.0
-    sensor = ImuSensor(**{**grade, "gyro_bias_walk": 0.0, "delay": 0})
-    noise, walk = sensor.attitude_noise, sensor.gyro_noise
-    found = attitude_std_dev(sensor, dt, round(40.0 / dt), [(healthy, healthy + length)])
-    memory = noise * math.sqrt(dt) / walk
-    bias = walk**2 / healthy * (1.0 + 2.0 * memory / healthy)
-    at_onset = walk * noise * math.sqrt(dt) * (1.0 + length / healthy)
-    floor = math.sqrt(at_onset + bias * length**2 / 3.0 + walk**2 * length / 2.0)  # (T17)
-    assert math.sqrt(np.mean(found[-round(length / dt) :] ** 2)) == pytest.approx(floor, rel=0.01)
-
-
-def test_bound_holds_the_noise_of_the_sample_and_falls_with_healthy_time():
-    sensor, dt, windows = ImuSensor(**GRADES["mems"]), 1.0 / RATE, ((20.0, 40.0), (50.0, 70.0))
-    short, long = (
-        fault_bound(sensor, dt, windows, (0.0, 20.0)),
-        fault_bound(sensor, dt, windows, (0.0, 20.0), 1.0),
-    )
-    attitude = attitude_std_dev(sensor, dt, round(70.0 / dt), windows)
-    assert short[0, 0] ** 2 == pytest.approx(attitude[5000] ** 2 + sensor.attitude_noise**2)  # one sample
-    assert short[0, 1] ** 2 == pytest.approx(attitude[9999] ** 2 + sensor.attitude_noise**2 / 15.0)
-    assert np.all(short[:, 1] > long[:, 1])
-    assert short[1, 1] < 0.95 * short[0, 1]  # the bias is better known
+        assert axes == ([] if "healthy" in name else [("roll",), ("pitch",), ("yaw",)])
 
 
 def test_operating_point_counts_what_is_found_in_time_and_time_of_false_alarms():

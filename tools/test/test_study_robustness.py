@@ -18,9 +18,10 @@ from quadftc_tools.study.robustness_tables import (
     SIZED,
     SIZES,
     STUDIES,
-    faults_of,
-    size_tables,
-    study_tables,
+    TABLED,
+    missed_table,
+    share_missed,
+    tracking_table,
     typical,
 )
 
@@ -31,13 +32,10 @@ OBSERVERS = {"proposed": "sliding_mode", "supervised": "supervised", "convention
 def rows(flight_number, variant, error, **values):
     """Three faults of a flight, one of each kind; the worst axis is yaw."""
     common = {"flight": flight_number, "variant": variant, "observer": OBSERVERS[variant], "finite": True}
-    common["disturbance_observer"] = "none" if variant == "conventional" else "exosystem"
-    for name in ("tracking_rmse_deg", "fault_estimate_rmse_deg", "disturbance_estimate_rmse"):
+    for name in ("tracking_rmse_deg", "fault_estimate_rmse_deg"):
         common |= {f"{name}.{axis}": error * share for axis, share in zip(AXES, (0.1, 0.5, 1.0), strict=True)}
     common |= {f"torque_total_variation.{axis}": 1.0 for axis in AXES}
     common |= {f"tracking_max_deg.{axis}": 2.0 * error for axis in AXES}
-    common |= {f"false_alarms.{axis}": 0.0 for axis in AXES}
-    common |= {f"healthy_estimate_max_deg.{axis}": 0.1 for axis in AXES}
     for number, kind in enumerate(("step", "sine", "ramp")):
         fault = {"fault": number, "fault.kind": kind, "fault.detected": True, "fault.detection_delay_s": 0.1}
         fault |= {"fault.above_threshold_delay_s": 0.2, "fault.estimate_rmse_deg": error}
@@ -73,18 +71,15 @@ def test_a_vehicle_that_is_lost_is_worse_than_any_number():
 def test_what_nothing_estimates_has_no_error():
     frame = of(pl.DataFrame(table()), "conventional")
     assert typical(frame, "fault_estimate_rmse_deg") is None
-    assert typical(frame, "disturbance_estimate_rmse") is None
-    assert faults_of(frame) is None
+    assert share_missed(frame) is None
 
 
-def test_faults_without_a_delay_are_missed_and_alarms_are_counted_by_flight():
+def test_faults_without_a_delay_are_missed():
     frame = pl.DataFrame(table(4)).with_columns(
-        pl.when(pl.col("fault") == 0).then(None).otherwise(0.1).alias("fault.detection_delay_s"),
-        pl.when(pl.col("flight") == 1).then(2.0).otherwise(0.0).alias("false_alarms.yaw"),
-        pl.when(pl.col("flight") < 2).then(5.0).otherwise(0.1).alias("healthy_estimate_max_deg.roll"),
+        pl.when(pl.col("fault") == 0).then(None).otherwise(0.1).alias("fault.detection_delay_s")
     )
-    assert faults_of(of(frame, "supervised")) == pytest.approx((1 / 3, 0.25))
-    assert faults_of(of(frame, "proposed")) == pytest.approx((0.0, 0.5))  # by the size of its estimate
+    assert share_missed(of(frame, "supervised")) == pytest.approx(1 / 3)
+    assert share_missed(of(frame, "proposed")) == 0.0  # by the size of its estimate
 
 
 def test_tables_have_a_row_for_each_cell_and_grade():
@@ -97,7 +92,7 @@ def test_tables_have_a_row_for_each_cell_and_grade():
             for row in table(3, **{study.path: value, "sensors.grade": grade})
         ]
     )
-    lines = study_tables(study, frame)["inertia-tracking"].splitlines()
+    lines = tracking_table(study, frame).splitlines()
     assert [line.split(" | ")[0] for line in lines[2:]] == [
         "| ideal sensors, 0.7",
         "| ideal sensors, 1.3",
@@ -120,9 +115,10 @@ def test_document_gets_its_tables_and_figures(tmp_path):
     frames[SIZES] = pl.DataFrame(table(99)).with_columns(
         pl.Series(name, each) for name, each in sizes.items()
     )
-    tables = size_tables(frames[SIZES])
+    tables = {f"{SIZES}-missed": missed_table(frames[SIZES])}
     for study in STUDIES:
-        tables |= study_tables(study, frames[study.name])
+        if study.name in TABLED:
+            tables[f"{study.name}-tracking"] = tracking_table(study, frames[study.name])
     marks = [f"<!-- table: {name} -->\n<!-- end -->\n" for name in tables]
     (tmp_path / "robustness.md").write_text("".join(marks))
     files = publish(tmp_path / "robustness.md", *make(frames))
@@ -163,6 +159,5 @@ def test_new_observer_takes_part_in_every_study(monkeypatch):
 
 def test_document_has_a_place_for_every_table():
     text = (ROOT / "docs" / "robustness.md").read_text(encoding="utf-8")
-    keys = [f"{study.name}-{shown.key}" for study in STUDIES for shown in study.shown]
-    keys += [*(f"{study.name}-faults" for study in STUDIES), f"{SIZES}-estimate", f"{SIZES}-missed"]
+    keys = [*(f"{name}-tracking" for name in TABLED), f"{SIZES}-missed"]
     assert [key for key in keys if f"<!-- table: {key} -->" not in text] == []

@@ -30,14 +30,6 @@ from quadftc_ros.scheduling import Scheduling
 
 SCENARIO = "mems_faults"
 NO_DELAY = "sensors.delay=0"  # the modelled delay of the sensor is no latency of the graph
-ALL_FLIGHTS, FEW_FLIGHTS = (1, 64, 256, 1024), (64,)  # of each process of the batch engine
-
-
-class Precision(str, enum.Enum):
-    """Of all numbers of a batch."""
-
-    float64 = "float64"
-    float32 = "float32"
 
 
 class Runs(str, enum.Enum):
@@ -56,7 +48,7 @@ Observer = Annotated[str, typer.Option(help="Fault observer.")]
 Engines = Annotated[list[Runs], typer.Option("--engine", help="What runs the laws; several in turn.")]
 Out = Annotated[
     Path | None,
-    typer.Option(help="Directory for the results: JSON, and a figure of latencies or of batches."),
+    typer.Option(help="Directory for the results: JSON, and a figure of latencies."),
 ]
 
 
@@ -115,7 +107,6 @@ def latency(
 @bench.command()
 def lockstep(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0],  # noqa: B006
-    vehicles: Annotated[list[int], typer.Option(min=1, help="In one process, and in as many.")] = [1],  # noqa: B006
     scenario: Annotated[str, typer.Option(help="Scenario to fly, by its first scheme.")] = SCENARIO,
     observer: Observer = "sliding_mode",
     engine: Engines = [Runs.c, Runs.numpy],  # noqa: B006
@@ -134,14 +125,13 @@ def lockstep(
     length, times = duration or (20.0 if thorough else 10.0), repeat or (5 if thorough else 3)
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
-        for each, count in itertools.product(rate, vehicles):
+        for each in rate:
             flown = _scenario(observer, length, each, scenario)
-            chosen = forms(count, _values(engine))
-            bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=times * len(chosen))
+            chosen = forms(_values(engine))
+            bar = bars.add_task(f"{each:g} Hz", total=times * len(chosen))
             # all forms in turn, so that a busy machine is as bad for all
             for _, form in itertools.product(range(times), chosen):
-                what = flown, flown.scheme(None), *form, count
-                found = measure_lockstep(*what, lambda _: not stop.requested)
+                found = measure_lockstep(flown, flown.scheme(None), *form, lambda _: not stop.requested)
                 results.append(_unless_stopped(found))
                 bars.advance(bar)
                 bars.refresh()
@@ -164,64 +154,6 @@ def step(
     results = list(step_costs(engine, batches, only))
     console().print(step_table(results))
     _finish(out, f"step_{engine}", results)
-
-
-@bench.command()
-def batch(
-    flights: Annotated[
-        list[int], typer.Option(min=1, help="In each process. Default: 64, thorough 1, 64, 256, 1024.")
-    ] = [],  # noqa: B006
-    precision: Annotated[
-        list[Precision], typer.Option(help="Of the batch engine. Default: float64, thorough both.")
-    ] = [],  # noqa: B006
-    cores: Annotated[
-        list[int],
-        typer.Option(
-            min=1, help="So many processes, a core each. Default: one, thorough one and all there are."
-        ),
-    ] = [],  # noqa: B006
-    repeats: Annotated[
-        int | None, typer.Option(min=1, help="How often each is measured. Default: 2, thorough 5.")
-    ] = None,
-    duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Length of a flight [s]. Default: 4, thorough 8.")
-    ] = None,
-    others: Annotated[
-        str | None, typer.Option(help="Python with crazyflow and RotorPy; default: the one that runs this.")
-    ] = None,
-    only: Annotated[list[str], typer.Option(help="Only what has this in its name; may be repeated.")] = [],  # noqa: B006
-    thorough: Annotated[bool, typer.Option("--thorough", help="Longer: up to ten minutes.")] = False,
-    out: Out = None,
-) -> None:
-    """Closed-loop steps per second of the batch engine, beside other simulators: a minute and a half."""
-    from quadftc_tools.bench import batch_results as shown
-    from quadftc_tools.bench.batch import measure, measurements, python_of, usable_cores
-
-    usable = len(usable_cores())
-    if max(cores, default=1) > usable:
-        raise RunError(f"--cores {max(cores)}: this process may use {usable}")
-    python = python_of(others)
-    counts = sorted(set(flights)) or (ALL_FLIGHTS if thorough else FEW_FLIGHTS)
-    chosen = sorted(set(cores)) or sorted({1, usable} if thorough else {1})
-    precisions = list(dict.fromkeys(precision)) or list(Precision)[: None if thorough else 1]
-    float32 = [each is Precision.float32 for each in precisions]
-    plan = measurements(counts, float32, chosen, duration or (8.0 if thorough else 4.0))
-    if lost := [part for part in only if not any(part in each.name for each in plan)]:
-        raise RunError(f"--only: nothing has '{lost[0]}' in its name")
-    plan = [each for each in plan if not only or any(part in each.name for part in only)]
-    results: list[dict[str, Any]] = []
-    with StopSignals() as stop, _bars() as bars:
-        bar = bars.add_task("", total=len(plan))
-        for each in plan:
-            bars.update(bar, description=each.title)
-            bars.refresh()
-            found = measure(each, repeats or (5 if thorough else 2), python, lambda: stop.requested)
-            results.append(_unless_stopped(found))
-            bars.advance(bar)
-        bars.refresh()
-    console().print(shown.batch_table(results))
-    say(*shown.flight_lines(results), *shown.ratio_lines(results), *shown.what_lines(results))
-    _finish(out, "batch", results, shown.batch_figure)
 
 
 def _scenario(observer: str, duration: float, rate: float, name: str = SCENARIO) -> Scenario:

@@ -24,8 +24,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_cli.commands import BAD_INPUT, GOOD
-from quadftc_cli.screen import say
 from quadftc_compile.build import build_library
 from quadftc_compile.engine import engine_named
 from quadftc_compile.recipe import recipe_of
@@ -44,7 +42,7 @@ from quadftc_model.samples import ALARMS, FaultEstimate, FaultObserverInputs, Im
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.assembly import sample_count
 from quadftc_tools.study.numbers import write_per_cent, write_times
-from quadftc_tools.study.page import NOTHING, markdown, publish_tables
+from quadftc_tools.study.page import NOTHING, Drawers, Tables, markdown, run_study
 
 Floats = NDArray[np.float64]
 Words = NDArray[np.bool_]  # (rows, sensors, axes)
@@ -255,27 +253,25 @@ def seeds_of(part: str, flights: int) -> range:
     return seeds[:flights]
 
 
+def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
+    """Fly and judge; return the table."""
+    seeds, observers = seeds_of(options.part, options.flights), options.observer or ["isolating", "bank"]
+    for each in observers:
+        runner_of(each)  # compiled once, not by each process
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as workers:
+        judge = functools.partial(judge_flight, observers=observers)
+        flights = [*workers.map(judge, seeds, chunksize=10)]
+    return {"trial": tabulate(each for flight in flights for each in flight)}, {}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly, judge, and write the table into the page, or print it."""
-    parser = argparse.ArgumentParser(prog="bank_trial", description=f"The table of docs/{PAGE}.")
-    parser.add_argument("--flights", type=int, default=100, help="of each kind of fault")
-    parser.add_argument("--set", choices=SEEDS, default="judging", dest="part", help="of seeds")
-    parser.add_argument("--observer", action="append", help="one to judge (isolating and bank)")
-    parser.add_argument("--docs", type=Path, help=f"directory of {PAGE}")
-    options = parser.parse_args(arguments)
-    try:
-        seeds, observers = seeds_of(options.part, options.flights), options.observer or ["isolating", "bank"]
-        for each in observers:
-            runner_of(each)  # compiled once, not by each process
-        with ProcessPoolExecutor(mp_context=get_context("spawn")) as workers:
-            judge = functools.partial(judge_flight, observers=observers)
-            flights = [*workers.map(judge, seeds, chunksize=10)]
-        table = tabulate(each for flight in flights for each in flight)
-        publish_tables({"trial": table}, options.docs and options.docs / PAGE)
-    except (ValueError, OSError) as error:
-        say(f"error: {error}", stderr=True)
-        return BAD_INPUT
-    return GOOD
+    """Write the table into the page, or print it."""
+    known = {
+        "--flights": {"type": int, "default": 100, "help": "of each kind of fault"},
+        "--set": {"choices": SEEDS, "default": "judging", "dest": "part", "help": "of seeds"},
+        "--observer": {"action": "append", "help": "one to judge (isolating and bank)"},
+    }
+    return run_study(PAGE, make, known, arguments)
 
 
 if __name__ == "__main__":

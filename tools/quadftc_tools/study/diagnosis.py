@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import json
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,9 @@ from quadftc_tools.study.diagnosis_figures import FIGURES
 from quadftc_tools.study.diagnosis_quiet import QUIET, quiet_results
 from quadftc_tools.study.diagnosis_results import TITLES, setting_results
 from quadftc_tools.study.diagnosis_tables import tables
-from quadftc_tools.study.page import FLIGHTS, Drawers, run_study
+from quadftc_tools.study.page import FLIGHTS, RESULTS, Drawers, Tables, run_study
 
 PREFIX = "study_diagnosis_"
-FILE = "diagnosis.json"
 
 
 def read_results(directory: Path) -> dict[str, Any]:
@@ -36,7 +34,8 @@ def read_results(directory: Path) -> dict[str, Any]:
         if name in QUIET:
             found[name] = quiet_results(name, frame, manifest)
         else:
-            levels = _levels(paths.get(f"{PREFIX}{name}_levels"))
+            path = paths.get(f"{PREFIX}{name}_levels")
+            levels = None if path is None else pl.read_parquet(path)
             found[name] = setting_results(name, frame, levels, manifest)
     if not found:
         raise ValueError(
@@ -45,19 +44,13 @@ def read_results(directory: Path) -> dict[str, Any]:
     return found
 
 
-def _levels(path: Path | None) -> pl.DataFrame | None:
-    return None if path is None else pl.read_parquet(path)
-
-
-def make(directory: Path) -> tuple[Mapping[str, str], Drawers]:
-    """Return tables and figures; write all results as JSON beside the campaigns."""
+def make(directory: Path) -> tuple[Tables, Drawers]:
+    """Return tables and figures of the campaigns in a directory."""
     results = read_results(directory)
-    text = json.dumps(results, separators=(",", ":"), allow_nan=False)
-    (directory / FILE).write_text(text + "\n", encoding="utf-8")
-    all_axes = {name: each for name, each in results.items() if "roc" in each}
-    drawers = {name: functools.partial(draw, all_axes) for name, draw in FIGURES.items() if all_axes}
+    figured = {name: each for name, each in results.items() if "roc" in each}
+    drawers = {name: functools.partial(draw, figured) for name, draw in FIGURES.items() if figured}
     return tables(results), drawers
 
 
 if __name__ == "__main__":
-    sys.exit(run_study("diagnosis", make))
+    sys.exit(run_study("diagnosis.md", lambda options: make(options.results), {"--results": RESULTS}))

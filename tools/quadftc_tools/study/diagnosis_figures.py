@@ -3,20 +3,19 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from quadftc_campaign.open_loop import AGES, WITHIN
-from quadftc_report.style import BLACK, PROPOSED
-from quadftc_tools.study.diagnosis_results import BOUNDED, CRITERIA
+from quadftc_campaign.open_loop import WITHIN
 from quadftc_tools.study.page import canvas, has_detector, legend, look, no_minor, plain_ticks
 
 Json = Mapping[str, Any]
+
+OURS = "supervised"  # drawn as the proposed one
 
 PANEL = 2.3  # in
 KINDS = ("step", "ramp", "sine")
@@ -24,24 +23,13 @@ NONE_AT = 1e-6  # share drawn for no false alarm at all
 SHARES = (NONE_AT, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
 SOONEST = 2e-3  # s; half a sample of the simulation
 LATEST = 20.0  # s; the length of a fault
-FEW = 3  # faults; fewer make no median
-DOTS = {"color": PROPOSED, "markersize": 2.0, "alpha": 0.45, "markeredgewidth": 0.0}
-LINES = {
-    "rms_deg": ("error, RMS", {"color": PROPOSED, "linewidth": 1.2}),
-    "central_deg": ("68 % of the errors are within", {"color": PROPOSED, "dashes": (3.6, 1.2)}),
-    "std_dev_deg": (
-        "reported standard deviation, median",
-        {"color": "#D55E00", "dashes": (5, 1.2, 1.2, 1.2)},
-    ),
-    "bound_deg": ("bound", {"color": BLACK, "linewidth": 0.9}),
-}
 
 
 def _draw_roc(settings: Json) -> Figure:
     figure, axes = canvas(1, len(settings), PANEL, sharey=True)
     for ax, result in zip(axes[0], settings.values(), strict=True):
         for observer in result["observers"]:
-            line = look(observer, list(result["observers"]), BOUNDED)
+            line = look(observer, list(result["observers"]), OURS)
             ax.plot(*_characteristic(result["roc"], observer), label=observer, **line)
             if has_detector(observer):
                 point = next(each for each in result["roc"]["points"][observer] if each["level"] is None)
@@ -84,7 +72,7 @@ def _draw_delays(settings: Json) -> Figure:
         for ax, kind in zip(row, KINDS, strict=True):
             for observer, each in result["observers"].items():
                 time, share = _arrivals(observer, [f for f in each["faults"] if f["kind"] == kind])
-                line = look(observer, list(result["observers"]), BOUNDED)
+                line = look(observer, list(result["observers"]), OURS)
                 ax.plot(time, share, drawstyle="steps-post", label=observer, **line)
             ax.set(title=f"{result['title']}, {kind}", ylim=(-0.03, 1.03))
             ax.set(xscale="log", xlim=(SOONEST, LATEST))
@@ -105,55 +93,7 @@ def _arrivals(observer: str, faults: Sequence[Json]) -> tuple[Any, Any]:
     return np.concatenate([[SOONEST], delays, [LATEST]]), np.concatenate([[0.0], shares, [last]])
 
 
-def _draw_ramps(settings: Json) -> Figure:
-    figure, axes = canvas(1, len(settings), PANEL, sharey=True)
-    for ax, (name, result) in zip(axes[0], settings.items(), strict=True):
-        ramp_edges = CRITERIA[name].bins["ramp"]
-        edges = np.linspace(ramp_edges[0], ramp_edges[-1], 7)
-        for observer, each in result["observers"].items():
-            ramps = [f for f in each["faults"] if f["kind"] == "ramp" and f["estimate_rmse_deg"] is not None]
-            rate = np.array([abs(fault["size"]) for fault in ramps])
-            error = np.array([fault["estimate_rmse_deg"] for fault in ramps])
-            line = look(observer, list(result["observers"]), BOUNDED)
-            ax.plot(*_medians(rate, error, edges), label=f"{observer}, median", marker=".", **line)
-            if observer == BOUNDED:
-                ax.plot(rate, error, "o", label=f"{observer}, each fault", **DOTS)
-        ax.set(title=result["title"], yscale="log", xlim=(edges[0], edges[-1]))
-        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.set_xlabel("slope of the ramp [deg/s]")
-    axes[0][0].set_ylabel("RMSE of the estimate [deg]")
-    legend(figure, axes[0][0], columns=3)
-    return figure
-
-
-def _medians(x: Any, y: Any, edges: Any) -> tuple[Any, Any]:
-    """Centres of the bins that hold a few, and the medians of y in them."""
-    members = [(x >= low) & (x <= high) for low, high in itertools.pairwise(edges)]
-    centres = 0.5 * (edges[:-1] + edges[1:])
-    full = [place for place, each in enumerate(members) if np.sum(each) >= FEW]
-    return centres[full], [np.median(y[members[place]]) for place in full]
-
-
-def _draw_consistency(settings: Json) -> Figure:
-    shown = {name: result for name, result in settings.items() if BOUNDED in result["observers"]}
-    figure, axes = canvas(1, max(len(shown), 1), PANEL)
-    for ax, result in zip(axes[0], shown.values(), strict=False):
-        consistency = result["consistency"][BOUNDED]
-        for name, (label, line) in LINES.items():
-            if name in consistency:
-                ax.plot(AGES, np.array(consistency[name], float), label=label, marker=".", **line)
-        ax.set(title=f"{result['title']}, {BOUNDED}", xlim=(0.0, LATEST))
-        ax.xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[5, 10]))
-        ax.set_ylim(bottom=0.0)
-        ax.set_xlabel("time since the onset [s]")
-    axes[0][0].set_ylabel("error, standard deviation [deg]")
-    legend(figure, axes[0][0], columns=4)
-    return figure
-
-
 FIGURES = {
     "diagnosis_roc": _draw_roc,
     "diagnosis_delay": _draw_delays,
-    "diagnosis_ramps": _draw_ramps,
-    "diagnosis_consistency": _draw_consistency,
 }

@@ -1,4 +1,4 @@
-"""Flights without a fault, outliers, and steps that last: what a detector says of them.
+"""Recordings without a fault, and outliers: what a detector says of them.
 
 Only observers with a detector are in it: the others never say that an axis is faulty.
 """
@@ -13,8 +13,8 @@ import polars as pl
 
 from quadftc_campaign.table import whole_flights
 from quadftc_model.samples import AXES
-from quadftc_tools.study.diagnosis_results import by_observer, by_recording, flown
-from quadftc_tools.study.numbers import write_count, write_degrees, write_per_cent, write_times
+from quadftc_tools.study.diagnosis_results import by_observer, flown
+from quadftc_tools.study.numbers import write_per_cent, write_times
 from quadftc_tools.study.page import has_detector, markdown
 
 Json = Mapping[str, Any]
@@ -34,8 +34,9 @@ def quiet_results(name: str, frame: pl.DataFrame, manifest: Json) -> dict[str, A
 def sum_up_healthy(frame: pl.DataFrame) -> dict[str, Any]:
     """Return the false alarms of flights without a fault: of each recording, and of all flights."""
     flights = whole_flights(frame)
-    groups = {**by_recording(flights), "all": flights}
-    return {name: _alarms(part) for name, part in groups.items() if name != "simulated"}
+    names = flights["recording"].unique().sort()
+    groups = {str(name): flights.filter(pl.col("recording") == name) for name in names}
+    return {name: _alarms(part) for name, part in {**groups, "all": flights}.items()}
 
 
 def _alarms(flights: pl.DataFrame) -> dict[str, float]:
@@ -54,11 +55,7 @@ def _alarms(flights: pl.DataFrame) -> dict[str, float]:
 def healthy_table(observers: Json) -> str:
     """Share of the time in which an axis is declared, alarms, and the longest of them."""
     rows = next(iter(observers.values()))
-    lines = [
-        (name, *(_healthy_cell(each[name]) for each in observers.values()))
-        for name in rows
-        if len(rows) > 1 or name == "all"
-    ]
+    lines = [(name, *(_healthy_cell(each[name]) for each in observers.values())) for name in rows]
     return markdown(("", *(f"`{name}`" for name in observers)), lines)
 
 
@@ -107,60 +104,7 @@ def _outlier_cell(row: Json) -> str:
     return f"{row['declared']}, after the end {after}" if row["declared"] else "0"
 
 
-def sum_up_long(frame: pl.DataFrame) -> dict[str, Any]:
-    """Return how long a step that lasts stays declared, and how well it is estimated."""
-    faults = frame.filter(pl.col("fault.detected").is_not_null())
-    figures: dict[str, Callable[[Any], Any]] = {
-        "mean": np.mean,
-        "min": np.min,
-        "median": np.median,
-        "max": np.max,
-    }
-    wanted = {
-        "declared_share": ("mean", "min"),
-        "estimate_rmse_deg": ("median", "max"),
-        "estimate_max_deg": ("max",),
-        "coverage_2_sigma": ("mean", "min"),
-    }
-    found: dict[str, Any] = {"count": faults.height, "missed": int((~faults["fault.detected"]).sum())}
-    for column, names in wanted.items():
-        values = faults[f"fault.{column}"].drop_nulls().to_numpy()
-        found |= {f"{column}_{name}": float(figures[name](values)) if len(values) else None for name in names}
-    return found
-
-
-def long_table(observers: Json) -> str:
-    """How long a step that lasts stays declared, and how well it is estimated."""
-    rows = (
-        ("steps", ("count",), write_count),
-        ("missed", ("missed",), write_count),
-        (
-            "declared, share of the step, mean / least",
-            ("declared_share_mean", "declared_share_min"),
-            write_per_cent,
-        ),
-        (
-            "RMSE of the estimate, median / largest",
-            ("estimate_rmse_deg_median", "estimate_rmse_deg_max"),
-            write_degrees,
-        ),
-        ("error of the estimate, max", ("estimate_max_deg_max",), write_degrees),
-        (
-            "errors within 2 standard deviations while declared, mean / least",
-            ("coverage_2_sigma_mean", "coverage_2_sigma_min"),
-            write_per_cent,
-        ),
-    )
-    lines = [
-        (label, *(write(tuple(each[name] for name in names)) for each in observers.values()))
-        for label, names, write in rows
-    ]
-    return markdown(("", *(f"`{name}`" for name in observers)), lines)
-
-
 QUIET: dict[str, tuple[str, Callable[[pl.DataFrame], dict[str, Any]], Callable[[Json], str]]] = {
     "healthy_recordings": ("recordings as they are", sum_up_healthy, healthy_table),
-    "healthy_flips": ("rolls and loops without a fault", sum_up_healthy, healthy_table),
     "outliers": ("outliers, simulated MEMS IMU", sum_up_outliers, outlier_table),
-    "long": ("steps of 1 deg for 60 s, simulated MEMS IMU", sum_up_long, long_table),
 }  # campaign -> title, how it is summed up, and its table

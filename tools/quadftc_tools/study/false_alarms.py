@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
+import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -32,7 +33,7 @@ from quadftc_replay.overlay import faults_from
 from quadftc_replay.readers import read_log
 from quadftc_replay.writers import WRITERS
 from quadftc_tools.study.intervals import poisson_interval, share_interval
-from quadftc_tools.study.page import markdown, publish_tables
+from quadftc_tools.study.page import Drawers, Tables, markdown, run_study
 from quadftc_tools.study.random_flights import Loss
 from quadftc_tools.study.simulated_logs import fly_log
 
@@ -211,16 +212,8 @@ def _told(judged: Iterable[Judged]) -> Iterator[Judged]:
         yield each
 
 
-def main() -> None:
-    """Fly, judge, and print or store."""
-    parser = argparse.ArgumentParser(description="Measure false findings of quadftc diagnose.")
-    parser.add_argument("--flights", type=int, default=500, help="healthy ones")
-    parser.add_argument("--faulty", type=int, default=150, help="flights with a fault")
-    parser.add_argument("--seed", type=int, default=70000, help="of the first flight")
-    parser.add_argument("--data", type=Path, help="folder of real logs")
-    parser.add_argument("--docs", type=Path, help="directory of diagnose.md")
-    parser.add_argument("--write", action="store_true", help="store the healthy flights for --false-alarms")
-    options = parser.parse_args()
+def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
+    """Fly and judge; return the tables, and store the flights if asked to."""
     middle = options.seed + options.flights
     healthy = [each for seed in range(options.seed, middle) for each in _told(judge_seed(seed))]
     last = middle + options.faulty
@@ -231,10 +224,17 @@ def main() -> None:
     }
     if options.data:
         tables["false-alarms-real"] = healthy_table([*judge_real(options.data)], "real")
-    publish_tables(tables, options.docs and options.docs / "diagnose.md")
     if options.write:
         FLIGHTS.write_text(json.dumps(stored(healthy, faulty), indent=1) + "\n", encoding="utf-8")
+    return tables, {}
 
 
 if __name__ == "__main__":
-    main()
+    known = {
+        "--flights": {"type": int, "default": 500, "help": "healthy ones"},
+        "--faulty": {"type": int, "default": 150, "help": "flights with a fault"},
+        "--seed": {"type": int, "default": 70000, "help": "of the first flight"},
+        "--data": {"type": Path, "help": "folder of real logs"},
+        "--write": {"action": "store_true", "help": "store the healthy flights for --false-alarms"},
+    }
+    sys.exit(run_study("diagnose.md", make, known))

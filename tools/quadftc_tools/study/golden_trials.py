@@ -32,15 +32,11 @@ from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FaultEstimate, FaultObserverInputs, ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND, seconds
 from quadftc_model.vehicle import load_vehicle
-from quadftc_replay.imu_from_usdlog import flight_from_usdlog
 from quadftc_replay.open_loop import OpenDraws, open_loop_of
 from quadftc_replay.plan import FROM_GYRO, choose_observer, read_recording
-from quadftc_replay.usdlog import read_usdlog
 from quadftc_sim.assembly import sample_count
-from quadftc_tools.study.acceleration_model import AccelerationModel
-from quadftc_tools.study.crazyflie import TAKE_OFF, TURNING, VEHICLE, read_log, recorded
+from quadftc_tools.study.crazyflie_logs import VEHICLE, Mask, Recorded, read_driven, read_without_torque
 from quadftc_tools.study.golden_alarms import Event, Floats, Verdict, alarms_of, two_digits
-from quadftc_tools.study.gyro_steps import Mask, Recorded
 
 CAMPAIGNS = Path(__file__).resolve().parents[3] / "campaigns"
 TUNING, JUDGING = SETS = ("tuning", "judging")
@@ -71,7 +67,6 @@ FLIGHTS = {  # how many of each campaign are flown in each set
 }
 NEW_SEED = 100  # what the seed of a campaign is raised by for judging
 WITH_ATTITUDE = "with its attitude"
-THRUST, FULL_THRUST = "controller.cmd_thrust", 65535.0  # of crazypad, which has no motor commands
 
 
 class Trial(NamedTuple):
@@ -85,7 +80,6 @@ class Trial(NamedTuple):
 
 def recorded_trials(directory: Path) -> Iterator[Trial]:
     """All recordings below a directory that has ``broad/`` and ``crazyflie/``; none may be missing."""
-    model = _model_by_file()
     for part, kinds in RECORDINGS.items():
         for kind, names in kinds.items():
             for name in names:
@@ -95,7 +89,7 @@ def recorded_trials(directory: Path) -> Iterator[Trial]:
                 if kind == "broad":
                     yield Trial(f"{kind}/{name}", kind, part, functools.partial(_judge_bag, path))
                     continue
-                log = functools.partial(_judge_log, path, model)
+                log = functools.partial(_judge_log, path)
                 yield Trial(f"{kind}/{name}", kind, part, functools.partial(log, attitude=False))
                 if kind == "crazyswarm2":
                     what = f"{kind} {WITH_ATTITUDE}"
@@ -141,41 +135,21 @@ def _absences(time: Floats, there: Mask) -> tuple[Event, ...]:
     )
 
 
-def _judge_log(path: Path, model: AccelerationModel, observer: str, attitude: bool) -> Verdict:
-    """Diagnose a log of a Crazyflie as docs/diagnosis.md, section 7, does.
-
-    Commanded torques act behind the rotors' lag. Alarms count in flight.
-    """
+def _judge_log(path: Path, observer: str, attitude: bool) -> Verdict:
+    """Diagnose a log of a Crazyflie. Commanded torques act behind the rotors' lag; alarms count in flight."""
     kind = fault_observers.get(observer)
     given = {FROM_GYRO: True} if attitude and hasattr(kind, FROM_GYRO) else {}
     law: FaultObserver = kind(vehicle=load_vehicle(VEHICLE), **given)
     if path.parent.name == "crazypad":
-        flight, driven = _without_torque(path), False
+        flight, driven = read_without_torque(path), False
     else:
-        flight, driven = recorded(read_log(path), model, attitude), True
+        flight, driven = read_driven(path, attitude), True
     estimate = _run_law(law, flight, driven)
     if not np.all(is_usable_estimate(estimate)):
         raise ValueError(f"{path}: observer '{observer}' says what is not finite")
     time, flying = flight.time - flight.time[0], np.flatnonzero(flight.flying)
     judged = float(time[flying[0]]), float(time[flying[-1]])
     return Verdict(alarms_of(law, time[1:], estimate), judged=judged)
-
-
-def _model_by_file() -> AccelerationModel:
-    """Return the lag of the rotors that the vehicle's file has."""
-    return AccelerationModel(np.full(3, load_vehicle(VEHICLE).rotors.time_constant), np.ones(3))
-
-
-def _without_torque(path: Path) -> Recorded:
-    """Read a log that has body rates and a thrust command; its flight is while the thrust is first on."""
-    flight = flight_from_usdlog(path)
-    thrust = np.asarray(read_usdlog(path).events[flight.event].columns[THRUST]) / FULL_THRUST
-    time = (flight.stamp_ns - flight.stamp_ns[0]) / NANOSECONDS_PER_SECOND
-    on = thrust > TURNING
-    first = int(np.argmax(on))
-    landed = time[first + int(np.argmin(on[first:]))]
-    flying = (time > time[first] + TAKE_OFF) & (time < landed)
-    return Recorded(time, flight.body_rate, None, np.zeros_like(flight.body_rate), flying)
 
 
 def _run_law(law: FaultObserver, flight: Recorded, driven: bool) -> FaultEstimate:

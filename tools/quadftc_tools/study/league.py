@@ -10,9 +10,8 @@ says what is faulty those with an attitude: healthy logs as they are, and a wind
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import os
+import sys
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,8 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bags.bag import BagError
-from quadftc_cli.commands import BAD_INPUT, GOOD
 from quadftc_cli.screen import say
 from quadftc_fdi.fault_observer import FaultObserver, fault_observers
 from quadftc_model.samples import ImuSample
@@ -41,9 +38,8 @@ from quadftc_tools.study.league_flights import FLOWN_FAULTY, FLOWN_HEALTHY, Trut
 from quadftc_tools.study.league_logs import cut, read_healthy, read_labels
 from quadftc_tools.study.league_others import OTHERS_HEADINGS, PX4_HEADINGS, other_rows, px4_rows
 from quadftc_tools.study.numbers import write_number
-from quadftc_tools.study.page import NOTHING, has_detector, markdown, publish_tables
+from quadftc_tools.study.page import NOTHING, has_detector, markdown, run_study
 
-PAGE = "league.md"
 LASTS, EDGE = 2.0, 3.0  # s; of an overlaid fault, and from the begin of the flight
 WINDOW = 3.0  # s; that an observer sees before and after a fault
 SEEN, CLOSE = 0.25, 0.05  # s; from the true onset to one that is named: of a detection, of an isolation
@@ -282,20 +278,6 @@ def make(data: Path) -> dict[str, str]:
     }
 
 
-def main() -> int:
-    """Write the tables into the page, or print them."""
-    parser = argparse.ArgumentParser(prog="league", description=f"Tables of docs/{PAGE}.")
-    parser.add_argument("data", type=Path, help="directory of the recordings")
-    parser.add_argument("--docs", type=Path, help=f"directory of {PAGE}")
-    options = parser.parse_args()
-    try:
-        publish_tables(make(options.data), options.docs and options.docs / PAGE)
-    except (BagError, ValueError, OSError) as error:
-        say(f"error: {error}", stderr=True)
-        return BAD_INPUT
-    say(f"processor time: {sum(os.times()[:4]):.0f} s", stderr=True)
-    return GOOD
-
-
 if __name__ == "__main__":
-    raise SystemExit(main())
+    known = {"data": {"type": Path, "help": "directory of the recordings"}}
+    sys.exit(run_study("league.md", lambda options: (make(options.data), {}), known))

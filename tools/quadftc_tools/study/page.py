@@ -33,7 +33,9 @@ _BLOCK = re.compile(
     r"(?P<head><!-- table: (?P<name>[\w-]+) -->\n)(?P<body>.*?)(?P<foot><!-- end -->)", re.DOTALL
 )
 
+Tables = Mapping[str, str]  # by the name of the place
 Drawers = Mapping[str, Callable[[], Figure]]  # by the name of the file
+RESULTS: dict[str, Any] = {"type": Path, "required": True, "help": "directory of the campaigns"}
 
 
 def has_detector(observer: str) -> bool:
@@ -41,26 +43,35 @@ def has_detector(observer: str) -> bool:
     return fault_observers.get(observer).has_detector
 
 
-def run_study(name: str, make: Callable[[Path], tuple[Mapping[str, str], Drawers]]) -> int:
-    """Write tables and figures of a study into its page; turn wrong input into a line and an exit code.
+def run_study(
+    page: str,
+    make: Callable[[argparse.Namespace], tuple[Tables, Drawers]],
+    arguments: Mapping[str, Mapping[str, Any]],
+    given: Sequence[str] | None = None,
+) -> int:
+    """Make the tables and figures of a study from its arguments; put them into its page, or print them.
 
-    ``make`` takes the directory of the campaigns, and returns tables and functions that draw figures.
+    The page is in the directory ``--docs``. Input that is wrong gives a line, and the exit code of such.
     """
-    parser = argparse.ArgumentParser(prog=name, description=f"Tables and figures of docs/{name}.md.")
-    parser.add_argument("--results", type=Path, required=True, help="directory of the campaigns")
-    parser.add_argument("--docs", type=Path, required=True, help=f"directory of {name}.md and figures/")
-    options = parser.parse_args()
+    parser = argparse.ArgumentParser(description=f"Tables and figures of docs/{page}.")
+    for name, settings in arguments.items():
+        parser.add_argument(name, **settings)
+    parser.add_argument("--docs", type=Path, help=f"directory of {page}; without it, tables are printed")
+    options = parser.parse_args(given)
     try:
-        tables, drawers = make(options.results)
-        written = publish(options.docs / f"{name}.md", tables, drawers)
-        say(*(f"written: {path}" for path in written), stderr=True)
+        tables, drawers = make(options)
+        if options.docs is None:
+            say(*(f"{name}\n{table}\n" for name, table in tables.items()))
+        else:
+            written = publish(options.docs / page, tables, drawers)
+            say(*(f"written: {path}" for path in written), stderr=True)
     except (ValueError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return BAD_INPUT
     return GOOD
 
 
-def publish(page: Path, tables: Mapping[str, str], drawers: Drawers) -> list[Path]:
+def publish(page: Path, tables: Tables, drawers: Drawers) -> list[Path]:
     """Write the tables into a page and the figures beside it; return the files."""
     page.write_text(with_tables(page.read_text(encoding="utf-8"), tables, str(page)), encoding="utf-8")
     directory = page.parent / "figures"
@@ -72,16 +83,7 @@ def publish(page: Path, tables: Mapping[str, str], drawers: Drawers) -> list[Pat
     return [page, *files]
 
 
-def publish_tables(tables: Mapping[str, str], page: Path | None) -> None:
-    """Put tables into a page, or print them without one; ValueError or OSError for a wrong page."""
-    if page is None:
-        say(*(f"{name}\n{table}\n" for name, table in tables.items()))
-        return
-    text = with_tables(page.read_text(encoding="utf-8"), tables, str(page))
-    page.write_text(text, encoding="utf-8")
-
-
-def with_tables(text: str, tables: Mapping[str, str], where: str) -> str:
+def with_tables(text: str, tables: Tables, where: str) -> str:
     """Return a document with its tables replaced; those that are not given stay as they are.
 
     ValueError, which begins with ``where``, if a table has no marks, or marks have no end.

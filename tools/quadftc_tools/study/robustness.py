@@ -11,9 +11,9 @@ from pathlib import Path
 import polars as pl
 from matplotlib.figure import Figure
 
-from quadftc_tools.study.page import FLIGHTS, Drawers, run_study
+from quadftc_tools.study.page import FLIGHTS, RESULTS, Drawers, Tables, run_study
 from quadftc_tools.study.robustness_figures import draw_sizes, draw_study
-from quadftc_tools.study.robustness_tables import SIZES, STUDIES, size_tables, study_tables
+from quadftc_tools.study.robustness_tables import SIZES, STUDIES, TABLED, missed_table, tracking_table
 
 
 def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
@@ -29,18 +29,20 @@ def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
     return frames
 
 
-def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Mapping[str, str], Drawers]:
+def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
     """Return tables and figures of campaigns, whose tables are given by name."""
     tables: dict[str, str] = {}
     drawers: dict[str, Callable[[], Figure]] = {}
     for study in (study for study in STUDIES if study.name in frames):
-        tables |= study_tables(study, frames[study.name])
+        if study.name in TABLED:
+            tables[f"{study.name}-tracking"] = tracking_table(study, frames[study.name])
         drawers[f"robustness_{study.name}"] = functools.partial(draw_study, study, frames[study.name])
     if SIZES in frames:
-        tables |= size_tables(frames[SIZES])
+        tables[f"{SIZES}-missed"] = missed_table(frames[SIZES])
         drawers[f"robustness_{SIZES}"] = functools.partial(draw_sizes, frames[SIZES])
     return tables, drawers
 
 
 if __name__ == "__main__":
-    sys.exit(run_study("robustness", lambda results: make(read_campaigns(results))))
+    page, found = "robustness.md", {"--results": RESULTS}
+    sys.exit(run_study(page, lambda options: make(read_campaigns(options.results)), found))

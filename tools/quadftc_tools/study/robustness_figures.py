@@ -21,8 +21,8 @@ from quadftc_tools.study.robustness_tables import (
     Study,
     bins,
     cells,
-    faults_of,
     grades_of,
+    share_missed,
     typical,
     typical_fault,
     variants_of,
@@ -40,7 +40,7 @@ THIN = Line2D([], [], color=GREY, linewidth=0.5, label="thin: 95 % quantile, els
 def draw_study(study: Study, frame: pl.DataFrame) -> Figure:
     """One column for each grade, one row for each metric; metrics side by side if there is one grade."""
     grades, variants = grades_of(frame), variants_of(frame)
-    drawn = [shown for shown in study.shown if shown.drawn]
+    drawn = study.shown
     across = len(grades) == 1
     shape = (1, len(drawn)) if across else (len(drawn), len(grades))
     figure, axes = canvas(*shape, PANEL, sharex="col", sharey="none" if across else "row")
@@ -79,18 +79,18 @@ def draw_sizes(frame: pl.DataFrame) -> Figure:
         centres = np.array([math.sqrt(low * high) for low, high, _ in found])
         for variant in variants:
             of_variant = [cell.filter(pl.col("variant") == variant) for _, _, cell in found]
-            faults = [faults_of(cell) for cell in of_variant]
+            shares = [share_missed(cell) for cell in of_variant]
             estimates = [
-                None if judged is None else typical_fault(cell, "estimate_rmse_deg")
-                for cell, judged in zip(of_variant, faults, strict=True)
+                None if share is None else typical_fault(cell, "estimate_rmse_deg")
+                for cell, share in zip(of_variant, shares, strict=True)
             ]
             pairs = [typical_fault(cell, "tracking_rmse_deg") for cell in of_variant]
             _plot(tracking, centres, pairs, variant, variants)
             _plot(estimate, centres, estimates, variant, variants)
-            there = [place for place, judged in enumerate(faults) if judged is not None]
-            shares = [100.0 * judged.missed for judged in faults if judged is not None]
+            there = [place for place, share in enumerate(shares) if share is not None]
+            known = [100.0 * share for share in shares if share is not None]
             if there:
-                missed.plot(centres[there], shares, clip_on=False, **_look(variant, variants))
+                missed.plot(centres[there], known, clip_on=False, **_look(variant, variants))
         _scale(tracking)
         _scale(estimate)
         missed.set(ylim=(-4.0, 104.0), xscale="log", xlim=(sized.edges[0], sized.edges[-1]))

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import polars as pl
 
 from quadftc_campaign.table import whole_flights
-from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
 from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.samples import AXES
 from quadftc_tools.study.page import NOTHING, has_detector, markdown
@@ -22,7 +21,6 @@ from quadftc_tools.study.page import NOTHING, has_detector, markdown
 GRADE = "sensors.grade"
 GRADES = {"ideal": "ideal sensors", "mems": "MEMS IMU"}
 LOST = 90.0  # deg; tracking error at which a vehicle is lost
-ESTIMATED_BY = {"fault_estimate_rmse_deg": "observer", "disturbance_estimate_rmse": "disturbance_observer"}
 
 Pair = tuple[float, float]
 Write = Callable[[pl.DataFrame], str]
@@ -31,10 +29,8 @@ Write = Callable[[pl.DataFrame], str]
 class Shown(NamedTuple):
     """A metric of a whole flight that a study shows, the worst axis of each flight."""
 
-    key: str  # of its table
     title: str
     metric: str  # without the axis
-    drawn: bool = True  # in the figure, too
 
 
 class Study(NamedTuple):
@@ -55,26 +51,17 @@ class Sized(NamedTuple):
     edges: tuple[float, ...]  # of the bins of its table
 
 
-class Faults(NamedTuple):
-    """What became of the faults of some flights; shares in [0, 1]."""
-
-    missed: float  # of the faults, declared before their onset included
-    alarmed: float  # of the flights: a healthy axis was declared faulty
-
-
-TRACKING = Shown("tracking", "tracking RMSE [deg]", "tracking_rmse_deg")
-ESTIMATE = Shown("estimate", "fault estimate RMSE [deg]", "fault_estimate_rmse_deg")
-DISTURBANCE = Shown(
-    "disturbance", "disturbance estimate RMSE [rad/s²]", "disturbance_estimate_rmse", drawn=False
-)
-CHATTER = Shown("torque", "torque variation [N m/s]", "torque_total_variation")
+TRACKING = Shown("tracking RMSE [deg]", "tracking_rmse_deg")
+ESTIMATE = Shown("fault estimate RMSE [deg]", "fault_estimate_rmse_deg")
+CHATTER = Shown("torque variation [N m/s]", "torque_total_variation")
 INERTIA = "inertia of the vehicle over that of the model"
 STUDIES = (
-    Study("inertia", "plant.inertia_factor", INERTIA, (TRACKING, ESTIMATE, DISTURBANCE)),
+    Study("inertia", "plant.inertia_factor", INERTIA, (TRACKING, ESTIMATE)),
     Study("motor_lag", "plant.motor_bandwidth", "bandwidth of the motors [rad/s]", (TRACKING, ESTIMATE)),
     Study("gyro", "sensors.gyro_bias", "largest gyro bias [deg/s]", (TRACKING, ESTIMATE)),
     Study("rate", "rate", "rate [Hz]", (TRACKING, ESTIMATE, CHATTER)),
 )
+TABLED = ("motor_lag",)  # the others are drawn alone
 SIZES = "fault_size"  # campaigns/study_fault_size.yaml
 DEGREES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 SIZED = (
@@ -98,8 +85,7 @@ def worst_axis(metric: str) -> pl.Expr:
 
 def typical(frame: pl.DataFrame, metric: str) -> Pair | None:
     """Median and 95 % quantile of the worst axis of a metric over flights; None: nothing estimates it."""
-    part = ESTIMATED_BY.get(metric)
-    if part is not None and (frame[part] == NO_OBSERVER).all():
+    if metric == ESTIMATE.metric and (frame["observer"] == NO_OBSERVER).all():
         return None
     return _quantiles(whole_flights(frame).select(value=worst_axis(metric))["value"])
 
@@ -109,20 +95,14 @@ def typical_fault(frame: pl.DataFrame, metric: str) -> Pair | None:
     return _quantiles(frame.select(value=pl.col(f"fault.{metric}"))["value"])
 
 
-def faults_of(frame: pl.DataFrame) -> Faults | None:
-    """What became of the faults; None without a fault observer."""
+def share_missed(frame: pl.DataFrame) -> float | None:
+    """Share of the faults that are missed, declared before their onset included; None without an observer."""
     if (frame["observer"] == NO_OBSERVER).all():
         return None
     by_size = not has_detector(frame["observer"][0])
     delay = "fault.above_threshold_delay_s" if by_size else "fault.detection_delay_s"
     judged = frame.filter(pl.col("fault.detected").is_not_null())
-    if by_size:
-        alarmed = _largest("healthy_estimate_max_deg") >= ESTIMATE_THRESHOLD_DEG
-    else:
-        alarmed = _largest("false_alarms") > 0.0
-    flights = whole_flights(frame).select(alarmed=alarmed.fill_null(value=False))["alarmed"]
-    missed = judged[delay].null_count() / judged.height if judged.height else float("nan")
-    return Faults(missed, int(flights.sum()) / max(len(flights), 1))
+    return judged[delay].null_count() / judged.height if judged.height else math.nan
 
 
 def _largest(metric: str) -> pl.Expr:
@@ -163,32 +143,21 @@ def bins(
         yield low, high, of_kind.filter((low <= size) & (size < high))
 
 
-def study_tables(study: Study, frame: pl.DataFrame) -> dict[str, str]:
-    """Tables of a study over a grid: those of its metrics, and that of the faults."""
+def tracking_table(study: Study, frame: pl.DataFrame) -> str:
+    """Tracking error in each cell of a study over a grid."""
     rows = [(_row_name(grade, value), cell) for grade, value, cell in cells(study, frame)]
     first = " and ".join(filter(None, ["sensors" if GRADE in frame.columns else "", study.title]))
-    made = {
-        f"{study.name}-{shown.key}": _table(first, rows, lambda cell, m=shown.metric: _pair(typical(cell, m)))
-        for shown in study.shown
-    }
-    return {**made, f"{study.name}-faults": _table(first, rows, lambda cell: _faults(cell, 0, 1))}
+    return _table(first, rows, lambda cell: _pair(typical(cell, TRACKING.metric)))
 
 
-def size_tables(frame: pl.DataFrame) -> dict[str, str]:
-    """Tables of the study of sizes: estimate and tracking while the fault lasts, and faults missed."""
+def missed_table(frame: pl.DataFrame) -> str:
+    """Share of the faults that are missed, by kind and size."""
     rows = [
         (f"{sized.title}, {low:g} to {high:g}", cell)
         for sized in SIZED
         for low, high, cell in bins(sized, frame, sized.edges)
     ]
-    writers: dict[str, Write] = {
-        "estimate": lambda cell: _pair(typical_fault(cell, "estimate_rmse_deg") if faults_of(cell) else None),
-        "tracking": lambda cell: _pair(typical_fault(cell, "tracking_rmse_deg")),
-        "missed": lambda cell: _faults(cell, 0),
-    }
-    tables = {f"{SIZES}-{key}": _table("fault", rows, write) for key, write in writers.items()}
-    alarms = _table("", [("all flights", frame)], lambda cell: _faults(cell, 1))
-    return {**tables, f"{SIZES}-alarms": alarms}
+    return _table("fault", rows, lambda cell: _share(share_missed(cell)))
 
 
 def _row_name(grade: str, value: float) -> str:
@@ -219,9 +188,5 @@ def _number(value: float) -> str:
     return f"{value:.{min(digits, 4)}f}"
 
 
-def _faults(cell: pl.DataFrame, *which: int) -> str:
-    found = faults_of(cell)
-    if found is None:
-        return NOTHING
-    shares = (found[place] for place in which)
-    return " / ".join(NOTHING if math.isnan(share) else f"{100.0 * share:.0f} %" for share in shares)
+def _share(value: float | None) -> str:
+    return NOTHING if value is None or math.isnan(value) else f"{100.0 * value:.0f} %"

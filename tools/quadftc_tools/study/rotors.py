@@ -5,15 +5,14 @@ python3 -m quadftc_tools.study.rotors --docs docs
 
 All flights are of the X500 with the `mems` IMU and motion capture, in turbulence of any direction, in gusts
 of torque of 0.5 rad/s², and with a centre of mass that is off by 5 mm. Half of them hover, half fly a circle
-at 2 m/s. The rotor and all sizes are drawn. Writes the tables and the figure of docs/rotors.md, section 2.
+at 2 m/s. The rotor and all sizes are drawn. Makes the tables of docs/rotors.md, section 2.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +24,7 @@ from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import flight_metrics
 from quadftc_model.samples import ALARMS
 from quadftc_tools.study.numbers import write_number, write_per_cent, write_times
-from quadftc_tools.study.page import NOTHING, markdown, publish, publish_tables
-from quadftc_tools.study.rotors_figure import Curve, draw_delays
+from quadftc_tools.study.page import NOTHING, Drawers, Tables, markdown, run_study
 from quadftc_tools.study.rotors_flights import ONSET, RATE, Case, case_of, faulty_sensor, weak_rotor
 
 TOLD = 64  # healthy flights after which it says how far it is
@@ -37,8 +35,6 @@ SEEDS = {
     "ramps": 200_000,
     "mixed": 300_000,
     "healthy": 400_000,
-    "steps": 500_000,
-    "slow": 600_000,
 }
 SENSORS = ("attitude", "gyro", "accelerometer")
 SIZES: tuple[tuple[float, float, int], ...] = (  # smallest and largest loss; flights, of the default 200
@@ -51,9 +47,6 @@ SIZES: tuple[tuple[float, float, int], ...] = (  # smallest and largest loss; fl
     (1.0, 1.0, 100),
 )
 RAMPS = (0.5, 2.0, 8.0)  # s; over which 30 % are lost
-# of the figure: losses [1], times [s] over which 30 % are lost, and flights of each
-CURVES = {"steps": np.geomspace(0.03, 0.6, 12), "slow": np.geomspace(0.25, 8.0, 6)}
-EACH = 25
 # kind and channel of other faults, with what is drawn: axes, and a size between two bounds, of either sign
 OTHERS = (
     ("attitude", "bias", "value", ("roll", "pitch", "yaw"), (1.0, 8.0), " deg"),
@@ -144,8 +137,8 @@ def write_errors(errors: Floats) -> str:
     return write_per_cent((float(np.median(errors)), float(errors.max()))) if len(errors) else NOTHING
 
 
-def study_faults(share: float) -> tuple[dict[str, str], dict[str, Curve]]:
-    """Fly all faults, a share of the flights that tables and curves have by default."""
+def study_faults(share: float) -> dict[str, str]:
+    """Fly all faults, a share of the flights that tables have by default."""
     groups: list[tuple[str, str, list[Case]]] = []
 
     def add(table: str, label: str, count: int, component: str, make: Any) -> None:
@@ -159,22 +152,13 @@ def study_faults(share: float) -> tuple[dict[str, str], dict[str, Curve]]:
         add("sizes", label, count, "rotor", weak_rotor(low, high))
     for rise in RAMPS:
         add("ramps", f"{rise:g} s", 50, "rotor", weak_rotor(0.3, 0.3, rise))
-    for size in CURVES["steps"]:
-        add("steps", f"{size}", EACH, "rotor", weak_rotor(size, size))
-    for rise in CURVES["slow"]:
-        add("slow", f"{rise}", EACH, "rotor", weak_rotor(0.3, 0.3, rise))
     heard = iter(fly_all([case for *_, cases in groups for case in cases]))
     rows: dict[str, list[tuple[str, ...]]] = {"sizes": [], "ramps": []}
-    curves: dict[str, Curve] = {name: [] for name in CURVES}
     for table, label, cases in groups:
         said = [hear(case, next(heard)) for case in cases]
-        if table in curves:
-            delays = [each.rotors[case.rotor] for case, each in zip(cases, said, strict=True)]
-            curves[table].append((float(label), np.array(delays)))
-            continue
         rows[table].append({"sizes": loss_row, "ramps": ramp_row}[table](label, cases, said))
     heads = {"sizes": LOSS_HEAD, "ramps": RAMP_HEAD}
-    return {f"rotor-{table}": markdown(heads[table], rows[table]) for table in rows}, curves
+    return {f"rotor-{table}": markdown(heads[table], rows[table]) for table in rows}
 
 
 def study_mixed(share: float) -> str:
@@ -240,29 +224,20 @@ def study_healthy(flights: int) -> str:
     return markdown(head, [(str(flights), hours, str(named), str(sensed))])
 
 
-def main(arguments: Iterable[str] | None = None) -> int:
-    """Fly, and write tables and figure into docs/rotors.md."""
-    parser = argparse.ArgumentParser(description="Rotor diagnosis in closed loop: docs/rotors.md, section 2.")
-    parser.add_argument("--share", type=float, default=1.0, help="of the flights with a weak rotor")
-    parser.add_argument("--mixed", type=float, default=1.0, help="of the flights with any fault")
-    parser.add_argument("--healthy", type=int, default=1000, help="healthy flights; 0: keep the table")
-    parser.add_argument("--docs", type=Path, help="directory of rotors.md; without it the tables are printed")
-    options = parser.parse_args(None if arguments is None else list(arguments))
-    tables, curves = study_faults(options.share) if options.share > 0.0 else ({}, {})
+def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
+    """Fly all of it, and return the tables."""
+    tables = study_faults(options.share) if options.share > 0.0 else {}
     if options.mixed > 0.0:
         tables["rotor-mixed"] = study_mixed(options.mixed)
     if options.healthy > 0:
         tables["rotor-healthy"] = study_healthy(options.healthy)
-    if options.docs:
-        publish(
-            options.docs / "rotors.md",
-            tables,
-            {"rotors_delay": lambda: draw_delays(curves)} if curves else {},
-        )
-    else:
-        publish_tables(tables, None)
-    return 0
+    return tables, {}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    shares = {
+        "--share": {"type": float, "default": 1.0, "help": "of the flights with a weak rotor"},
+        "--mixed": {"type": float, "default": 1.0, "help": "of the flights with any fault"},
+        "--healthy": {"type": int, "default": 1000, "help": "healthy flights; 0: keep the table"},
+    }
+    sys.exit(run_study("rotors.md", make, shares))

@@ -15,19 +15,17 @@ import polars as pl
 
 from quadftc_campaign.table import CONFUSION, ERRORS, whole_flights, with_ratios
 from quadftc_flight.diagnosis_metrics.which_sensor import NOTHING, SAID, TIME, TRUE
-from quadftc_flight.summary import NO_OBSERVER
 from quadftc_tools.study.numbers import (
     write_count,
     write_degrees,
     write_number,
-    write_numbers,
     write_per_cent,
     write_times,
 )
-from quadftc_tools.study.page import FLIGHTS, Drawers, markdown, run_study
+from quadftc_tools.study.page import FLIGHTS, RESULTS, Drawers, Tables, markdown, run_study
 
 FAULTS = ("which_sensor", "which_sensor_observers")  # the second: some of these flights, by other observers
-NAMES = (*FAULTS, "which_sensor_steps", "which_sensor_healthy")
+NAMES = (*FAULTS, "which_sensor_healthy")
 JUDGED = "isolating"  # the observer of which the tables say more
 DELAY = "fault.naming_delay_s"
 ERROR, RATIO = "attitude_error_max_deg", "attitude_error_max_deg_ratio"
@@ -38,26 +36,7 @@ OVERVIEW = (
 )
 KINDS = (
     *("fault", "flights", "named", "misnamed at some time", "ambiguous", "named after, median / largest"),
-    *("lost", "largest error, 95 % / worst", "over that without diagnosis, worst: named / not named"),
-)
-CLASSES = (
-    *(
-        "fault of attitude or gyro",
-        "flights",
-        "lost",
-        "lost without diagnosis",
-        "largest error, 95 % / worst",
-    ),
-    *("over that without diagnosis, median / 95 % / worst", "beyond that without diagnosis, 95 % / worst"),
-)
-STEPS = (
-    "",
-    "named",
-    "misnamed",
-    "named after, median / largest",
-    "lost",
-    "largest error",
-    "largest RMS error",
+    "largest error, 95 % / worst",
 )
 HEALTHY = ("", "flights", "any sensor declared", "lost", "largest error, 95 % / worst")
 
@@ -80,7 +59,7 @@ def side_by_side(all_flights: pl.DataFrame, others: pl.DataFrame) -> pl.DataFram
     return with_ratios(frame.drop(f"{name}_ratio" for name in ERRORS if f"{name}_ratio" in frame.columns))
 
 
-def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Mapping[str, str], Drawers]:
+def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
     """Return the tables of the campaigns, by the names of their places."""
     tables: dict[str, str] = {}
     for name, frame in frames.items():
@@ -92,12 +71,7 @@ def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Mapping[str, str], Drawers
         if name == FAULTS[0]:
             judged = frame.filter(pl.col("observer") == JUDGED)
             tables[f"{place}-kinds"] = kinds_table(judged)
-            tables[f"{place}-classes"] = classes_table(
-                judged, frame.filter(pl.col("observer") == NO_OBSERVER)
-            )
             tables[f"{place}-confusion"] = confusion_table(judged)
-        elif name == "which_sensor_steps":
-            tables[place] = markdown(STEPS, (_steps(*part) for part in parts.items()))
         elif name == "which_sensor_healthy":
             tables[place] = markdown(HEALTHY, (_healthy(*part) for part in parts.items()))
     return tables, {}
@@ -109,8 +83,6 @@ def kinds_table(faults: pl.DataFrame) -> str:
     rows = []
     for (sensor, kind), part in sorted(groups.items()):
         flights = whole_flights(part)
-        named = whole_flights(part.filter(pl.col("fault.named")))
-        others = flights.join(named, on="flight", how="anti")
         rows.append(
             (
                 f"{sensor}: {kind}",
@@ -119,44 +91,10 @@ def kinds_table(faults: pl.DataFrame) -> str:
                 write_per_cent((_misnamed(part),)),
                 write_per_cent((_mean(part, "fault.ambiguous_share"),)),
                 write_times((_quantile(part, DELAY, 0.5), _max(part, DELAY))),
-                write_count((float(flights["lost"].sum()),)),
                 write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
-                " / ".join(write_number(_max(each, RATIO)) for each in (named, others)),
             )
         )
     return markdown(KINDS, rows)
-
-
-def classes_table(judged: pl.DataFrame, without: pl.DataFrame) -> str:
-    """Table of how the vehicle flies with faults that are told apart, and with those that are not.
-
-    ``without`` are the same flights without a diagnosis.
-    """
-    faults = judged.filter(pl.col("fault.component").is_in(("attitude", "gyro")))
-    doubt = (pl.col("fault.ambiguous_share").fill_null(0.0) > 0.0).any().over("flight")
-    told = pl.col("fault.named").fill_null(value=False).all().over("flight")
-    plain = whole_flights(without).select("flight", lost_without="lost", without=ERROR)
-    flights = whole_flights(faults.with_columns(doubt=doubt, told=told)).join(plain, on="flight")
-    parts = {
-        "named, never ambiguous": pl.col("told") & ~pl.col("doubt"),
-        "ambiguous for some time": pl.col("doubt"),
-        "neither": ~pl.col("told") & ~pl.col("doubt"),
-    }
-    return markdown(CLASSES, (_class(name, flights.filter(part)) for name, part in parts.items()))
-
-
-def _class(name: str, flights: pl.DataFrame) -> tuple[str, ...]:
-    flights = flights.with_columns(
-        over=pl.col(ERROR) / pl.col("without"), beyond=pl.col(ERROR) - pl.col("without")
-    )
-    return (
-        name,
-        str(flights.height),
-        *(write_count((float(lost),)) for lost in (flights["lost"].sum(), flights["lost_without"].sum())),
-        write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
-        write_numbers((*(_quantile(flights, "over", share) for share in (0.5, 0.95)), _max(flights, "over"))),
-        write_degrees((_quantile(flights, "beyond", 0.95), _max(flights, "beyond"))),
-    )
 
 
 def confusion_table(faults: pl.DataFrame) -> str:
@@ -182,17 +120,6 @@ def _overview(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
         write_times(tuple(_quantile(both, DELAY, each) for each in (0.5, 0.95))),
         write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
         " / ".join(write_number(each) for each in (_quantile(flights, RATIO, 0.95), _max(flights, RATIO))),
-    )
-
-
-def _steps(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
-    return (
-        f"`{name}`",
-        write_per_cent((_mean(faults, "fault.named"),)),
-        write_per_cent((_misnamed(faults),)),
-        write_times((_quantile(faults, DELAY, 0.5), _max(faults, DELAY))),
-        write_count((float(whole_flights(faults)["lost"].sum()),)),
-        *(write_degrees((_max(faults, each),)) for each in (ERROR, "attitude_error_rms_deg")),
     )
 
 
@@ -228,4 +155,5 @@ def _number(value: Any) -> float | None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_study("diagnosis", lambda results: make(read_campaigns(results))))
+    page, found = "diagnosis.md", {"--results": RESULTS}
+    sys.exit(run_study(page, lambda options: make(read_campaigns(options.results)), found))

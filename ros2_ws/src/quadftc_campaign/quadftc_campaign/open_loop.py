@@ -20,7 +20,6 @@ from quadftc_campaign.open_motion import Alone, MovedImu, simulate
 from quadftc_campaign.table import Row, Rows
 from quadftc_fdi.observation import Observation
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
-from quadftc_flight.diagnosis_metrics.columns import Columns
 from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_over_std_dev, estimate_size
 from quadftc_flight.diagnosis_metrics.which_sensor import summed_confusion
 from quadftc_flight.fault_schedule import FaultEvent, attitude_events
@@ -29,7 +28,6 @@ from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import Fault, Scenario
 from quadftc_model.composition import Composition
 from quadftc_model.guarded import Guarded
-from quadftc_model.samples import AXES
 from quadftc_model.units import quantity
 from quadftc_replay.diagnose import diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
@@ -42,7 +40,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DELAY = "source.delay"
-AGES = (0.1, 0.2, 0.5, 1.0, 2.0, 3.5, 5.0, 7.5, 10.0, 12.5, 15.0, 17.5, 20.0)  # s since the onset
 WITHIN = 5.0  # s; a fault that is found later does not count in the ROC
 SIZES = np.radians(np.geomspace(0.02, 50.0, 86))  # rad; levels for the size of an estimate
 RATIOS = np.geomspace(0.5, 500.0, 76)  # 1; levels for its size over its standard deviation
@@ -68,7 +65,7 @@ def fly_open(
         records: Rows = diagnosis.pop("events")
         specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
         for event, record in zip(events, records, strict=True) if records else ():
-            record |= {"spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
+            record["spec"] = specs.get((event.axis, event.start))
         whole: Row = {
             DELAY: delay,
             "recording": recording.name,
@@ -104,19 +101,6 @@ def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Record
     return recording, faults, delay
 
 
-def error_profile(flight: Flight, event: FaultEvent) -> dict[str, list[float | None]]:
-    """Error and reported standard deviation [deg] at `AGES`; None while the axis is not declared faulty."""
-    columns, axis = Columns(flight), AXES.index(event.axis)
-    rows = columns.rows(event.start, event.stop)
-    at = np.minimum(columns.time.searchsorted(event.start + np.asarray(AGES) - 1e-9), rows.stop - 1)
-    declared = columns.declared[at, axis] & (rows.stop > rows.start)
-    std_dev = np.degrees(flight.fault_std_dev[at, axis])
-    return {
-        "errors_deg": _where(declared, columns.error[at, axis]),
-        "std_devs_deg": _where(declared & (std_dev > 0.0), std_dev),
-    }
-
-
 def score_counts(
     flight: Flight, events: Sequence[FaultEvent], levels: Float[NDArray[Any], " m"] | None = None
 ) -> Row:
@@ -148,8 +132,3 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> Row:
         inside = cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else None
         flat |= {f"{prefix}{name}": value} if inside is None else flatten(inside, f"{prefix}{name}.")
     return flat
-
-
-def _where(there: NDArray[np.bool_], values: Float[NDArray[Any], " n"]) -> list[float | None]:
-    known = (there & np.isfinite(values)).tolist()
-    return [value if good else None for value, good in zip(values.tolist(), known, strict=True)]

@@ -16,7 +16,7 @@ from quadftc_campaign.campaign_file import bags_in, load_campaign
 from quadftc_campaign.campaign_run import chunks_of, fly_chunk
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.flights import flight_scenario
-from quadftc_campaign.open_loop import AGES, WITHIN, error_profile, prepare, score_counts
+from quadftc_campaign.open_loop import WITHIN, prepare, score_counts
 from quadftc_campaign.open_motion import simulate
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_fdi.fault_observer import fault_observers
@@ -24,7 +24,7 @@ from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_size
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight, unknown_flight
 from quadftc_flight.scenario import ScenarioError, parse_scenario, with_seed
-from quadftc_model.samples import AXES, FAULTY
+from quadftc_model.samples import AXES
 from quadftc_sim.sensors import GRADES
 
 DEG = math.pi / 180.0
@@ -197,7 +197,6 @@ def test_each_fault_of_each_observer_is_a_row(tmp_path):
     assert set(frame["observer"]) == {"threshold"}
     steps = frame.filter(frame["fault.kind"] == "step")
     assert steps["fault.fault_max_deg"].is_between(1.0, 5.0).all()
-    assert frame["fault.errors_deg"].list.len().unique().to_list() == [len(AGES)]
     summary = summary_of(campaign, frame)["variants"]["threshold"]
     assert summary["flights"] == 3
     assert summary["faults"]["all"]["judged"] == 6
@@ -224,24 +223,6 @@ def test_score_counts_are_the_curve_of_the_scores():
     shares = np.array(counts["roc.alarms"]) / counts["roc.healthy"]
     np.testing.assert_allclose(shares, curve.false_alarm_share[:0:-1])
     np.testing.assert_allclose(np.array(counts["roc.found"]) / 3, curve.detection_probability[:0:-1])
-
-
-def test_error_profile_is_the_error_at_each_age_while_the_axis_is_declared():
-    state, estimate, fault = np.ones((3000, 3), np.uint8), np.zeros((3000, 3)), np.zeros((3000, 3))
-    fault[1000:2000, 1] = 2.0 * DEG
-    state[1030:2000, 1] = FAULTY
-    estimate[1000:2000, 1] = (2.0 + 0.1 * np.arange(1000) / 100.0) * DEG  # the error grows by 0.1 deg/s
-    flight = flight_with(fault=fault, fault_estimate=estimate, fault_state=state)
-    flight.fault_std_dev[:] = -1.0
-    event = FaultEvent("pitch", "step", 10.0, 20.0)
-    found = error_profile(flight, event)
-    expected = [None if age < 0.3 else 0.1 * min(age, 9.99) for age in AGES]
-    assert found["errors_deg"] == [
-        None if each is None else pytest.approx(each, rel=1e-4) for each in expected
-    ]
-    assert found["std_devs_deg"] == [None] * len(AGES)  # it gives none
-    flight.fault_std_dev[:] = 0.05 * DEG
-    assert error_profile(flight, event)["std_devs_deg"][-1] == pytest.approx(0.05)
 
 
 # --- recordings

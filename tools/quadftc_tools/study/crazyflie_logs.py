@@ -1,0 +1,97 @@
+"""Logs of a Crazyflie's uSD card as samples for an observer, with the acceleration that the torque gives.
+
+Per axis, with the commanded torque per inertia u [rad/s²] and the rotors' lag T of the vehicle's file,
+
+    v' = (u - v) / T
+
+`Recorded.drive` is the mean of v since the sample before.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_bags.bag import BagError
+from quadftc_model.rotors import torque_from_commands
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_model.vehicle import load_vehicle
+from quadftc_replay.imu_from_usdlog import CrazyflieFlight, flight_from_usdlog
+from quadftc_replay.usdlog import read_usdlog
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+VEHICLE = "crazyflie_2x"
+STALE = 10  # rows; the first few of a log are older than their stamps
+TURNING = 0.2  # 1; mean motor command of rotors that turn
+TAKE_OFF = 1.5  # s; from motors on to flight
+CRASH, BEFORE = 0.5, 0.3  # rad/s between two rows; s, how long before it counts as the ground
+THRUST, FULL_THRUST = "controller.cmd_thrust", 65535.0  # of logs without motor commands
+
+
+class Recorded(NamedTuple):
+    """A recorded flight as samples."""
+
+    time: Floats  # (n,) [s]
+    gyro: Floats  # (n, 3) [rad/s]
+    q_xyzw: Floats | None  # (n, 4)
+    drive: Floats  # (n, 3) mean acceleration by the torque since the row before [rad/s²]
+    flying: Mask  # (n,)
+
+
+def read_driven(path: Path, attitude: bool) -> Recorded:
+    """Read a log with torques, or with motor commands for the mixer of the vehicle's file."""
+    flight, vehicle = flight_from_usdlog(path), load_vehicle(VEHICLE)
+    torque = flight.torque
+    if torque is None:
+        if flight.motors is None:
+            raise BagError(f"{path}: neither torque nor motor commands; expected one of them")
+        torque = torque_from_commands(vehicle, flight.motors)
+    time = (flight.stamp_ns - flight.stamp_ns[0]) / NANOSECONDS_PER_SECOND
+    drive = lagged_torque(time, torque / vehicle.inertia, vehicle.rotors.time_constant)
+    drive = np.vstack([np.zeros(3), drive])
+    q_xyzw = flight.q_xyzw if attitude else None
+    return Recorded(time, flight.body_rate, q_xyzw, drive, in_flight(flight, time))
+
+
+def read_without_torque(path: Path) -> Recorded:
+    """Read a log that has body rates and a thrust command; its flight is while the thrust is first on."""
+    flight = flight_from_usdlog(path)
+    thrust = np.asarray(read_usdlog(path).events[flight.event].columns[THRUST]) / FULL_THRUST
+    time = (flight.stamp_ns - flight.stamp_ns[0]) / NANOSECONDS_PER_SECOND
+    on = thrust > TURNING
+    first = int(np.argmax(on))
+    landed = time[first + int(np.argmin(on[first:]))]
+    flying = (time > time[first] + TAKE_OFF) & (time < landed)
+    return Recorded(time, flight.body_rate, None, np.zeros_like(flight.body_rate), flying)
+
+
+def in_flight(flight: CrazyflieFlight, time: Floats) -> Mask:
+    """Return the rows in flight: those between take-off and crash, where motors tell; (n,)."""
+    flying = np.arange(len(time)) >= STALE
+    if flight.motors is None:
+        return flying
+    turning = np.flatnonzero(flight.motors.mean(axis=1) > TURNING)
+    jumps = np.abs(np.diff(flight.body_rate, axis=0)).max(axis=1) > CRASH
+    crashes = time[1:][jumps]
+    end = min(crashes[0] - BEFORE if len(crashes) else np.inf, time[turning[-1]])
+    return flying & (time > time[turning[0]] + TAKE_OFF) & (time < end)
+
+
+def lagged_torque(time: Floats, torque: Floats, lag: float) -> Floats:
+    """Mean of v between each row and the next (n - 1, 3) [rad/s²].
+
+    ``torque`` is per inertia (n, 3), held from row to row; the rotors have settled on it at the first.
+    """
+    steps = np.diff(time)
+    settled = torque[0].copy()
+    means = np.empty((len(steps), 3))
+    for row, dt in enumerate(steps.tolist()):
+        error, share = torque[row] - settled, dt / lag
+        means[row] = torque[row] + error * np.expm1(-share) / share
+        settled -= error * np.expm1(-share)
+    return means
