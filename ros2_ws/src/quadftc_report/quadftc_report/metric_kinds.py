@@ -20,7 +20,6 @@ DETAILS = (
     "Naming of",
 )  # how the sections of single faults and kinds of faults begin
 BY_SIZE = f"Diagnosis of faults by an estimate above {ESTIMATE_THRESHOLD_DEG:g} deg"
-CONFUSION = "Diagnosis of which axis is faulty, against what is declared"
 TINY = 1e-12  # in any unit; a smaller number is the rounding of a zero
 SCALES = {"%": 100.0, "ms": 1e3}  # of units that are not those of the summary
 
@@ -55,13 +54,6 @@ _KINDS = {
 }
 # of a window, of a fault; and what has a table of its own
 _NOT_METRICS = ("start", "stop", "axes", "axis", "kind", "component", "confusion_s")
-_FAULTY = {"confusion_single_s": "only {} faulty", "confusion_any_s": "{} faulty"}
-_DECLARED = {
-    "none": "nothing declared",
-    "time": "all the time",
-    "own": "its axis declared",
-    "other": "a healthy axis declared",
-}
 
 
 class Leaf(NamedTuple):
@@ -113,9 +105,6 @@ def describe(path: str) -> tuple[str, Kind]:
         return _look_up(words[1] if part == "fault_windows" else part)
     if words[0] == "events":
         return _look_up(words[2])
-    if words[0].startswith("confusion_"):
-        who = "no axis faulty" if words[1] == "none" else _FAULTY.get(words[0], "{}").format(words[1])
-        return CONFUSION, Kind(f"{who}: {_DECLARED.get(''.join(words[2:]), 'declared')}", "s")
     by_estimate = words[0] == "by_estimate"
     full, *rest = words[1:] if by_estimate else words
     section, kind = _look_up(full.removeprefix("total_"))

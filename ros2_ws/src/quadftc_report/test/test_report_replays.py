@@ -305,20 +305,6 @@ def test_page_of_flights_and_replays_has_both():
     assert {"summary", "small", "replays", "replay-garden_walk", "replay-garden_walk-2"} <= set(page.ids)
 
 
-def test_page_has_the_confusion_of_axes_with_full_values(pair_page):
-    shown = {
-        (cell["data-run"], cell["data-metric"], cell["data-axis"]): cell["data-value"]
-        for cell in pair_page.cells
-    }
-    matrix = made_replay().summary["metrics"]["diagnosis"]["confusion_single_s"]
-    assert matrix["roll"]["roll"] == pytest.approx(1.5)
-    for row, entries in matrix.items():
-        for column, value in entries.items():
-            base = f"diagnosis.confusion_single_s.{row}"
-            path, axis = (base, column) if column in AXES else (f"{base}.{column}", "")
-            assert shown["garden walk-watchful", path, axis] == repr(value)
-
-
 def test_observer_on_several_recordings_has_a_line_for_all_faults():
     again = made_replay(name="again")
     replays = [made_replay(), again, made_replay(recording="street"), made_replay("none")]

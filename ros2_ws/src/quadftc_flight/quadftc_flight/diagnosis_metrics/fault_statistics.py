@@ -28,9 +28,6 @@ SECONDS_PER_HOUR = 3600.0
 ALARMS = ("healthy_time_s", "false_alarms", "false_alarm_time_s", "late_recovery_time_s")
 ESTIMATE_ALARMS = ("healthy_time_s", "false_alarm_time_s")
 
-_ISOLATION = ("isolation_tested_s", "isolation_correct_s")
-_CONFUSIONS = ("confusion_single_s", "confusion_any_s", "confusion_by_kind_s")
-
 _FIGURES: dict[str, tuple[str, Figure]] = {
     "delay_median_s": ("detection_delay_s", median),
     "delay_max_s": ("detection_delay_s", largest),
@@ -106,12 +103,6 @@ def with_shares(totals: Mapping[str, PerAxis]) -> dict[str, Any]:
     return result
 
 
-def isolation_metrics(tested: float | None, correct: float | None) -> dict[str, Any]:
-    """Return the times [s] in which the isolation was tested and correct, and its accuracy."""
-    names = (*_ISOLATION, "isolation_accuracy")
-    return dict(zip(names, (tested, correct, _ratio(correct, tested)), strict=True))
-
-
 def _ratio(part: float | None, whole: float | None) -> float | None:
     return number(part / whole) if part is not None and whole else None
 
@@ -123,15 +114,12 @@ def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
     """
     flights = list(diagnoses)
     records = [record for flight in flights for record in flight["events"]]
-    times = (_total([flight[name] for flight in flights]) for name in _ISOLATION)
     sizes = _sums([flight["by_estimate"] for flight in flights], ESTIMATE_ALARMS)
     return {
         "flights": len(flights),
         **fault_metrics(records),
         **with_shares(_sums(flights, ALARMS)),
         "longest_false_alarm_s": _longest([flight.get("longest_false_alarm_s") or {} for flight in flights]),
-        **isolation_metrics(*times),
-        **_sums(flights, _CONFUSIONS),
         "by_estimate": {**estimate_fault_metrics(records), **with_shares(sizes)},
     }
 

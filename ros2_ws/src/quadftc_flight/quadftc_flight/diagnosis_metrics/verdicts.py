@@ -1,4 +1,4 @@
-"""The diagnosis of one flight judged: each fault, the healthy time, and which axis is blamed.
+"""The diagnosis of one flight judged: each fault, and the healthy time.
 
 A row stands for the median time between two. Rows without a state do not count.
 """
@@ -6,7 +6,7 @@ A row stands for the median time between two. Rows without a state do not count.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -29,7 +29,6 @@ from quadftc_flight.diagnosis_metrics.fault_statistics import (
     ESTIMATE_THRESHOLD_DEG,
     estimate_fault_metrics,
     fault_metrics,
-    isolation_metrics,
     with_shares,
 )
 from quadftc_flight.diagnosis_metrics.which_sensor import GRACE_TIME
@@ -41,11 +40,8 @@ if TYPE_CHECKING:
     from jaxtyping import Bool
 
 COVERAGE_SIGMAS = 2.0  # standard deviations; 95.4 % of the errors of a consistent estimate are within
-NO_AXIS = "none"  # the row of the time without a fault, the column of the time in which nothing is declared
-TIME = "time"  # the column of the time of a row
 
 Record = dict[str, Any]
-Matrix = dict[str, dict[str, float | None]]
 
 
 class Detection(NamedTuple):
@@ -66,8 +62,8 @@ class Truth(NamedTuple):
 def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str, Any]:
     """Judge the diagnosis of the attitude, ready for JSON; of one axis, no event overlaps another.
 
-    The metrics of all faults have a value for each kind of fault and for ``all``; those of healthy time and
-    isolation have one for each axis.
+    The metrics of all faults have a value for each kind of fault and for ``all``; those of healthy time have
+    one for each axis.
     """
     columns, events = Columns(flight), attitude_events(events)
     records = [_judge_fault(columns, event, events) for event in events]
@@ -86,7 +82,6 @@ def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str,
         "longest_false_alarm_s": {
             name: _longest_alarm(columns, by_state.healthy, axis) for axis, name in enumerate(AXES)
         },
-        **_isolation(columns, by_state, events),
         "by_estimate": {**estimate_fault_metrics(records), **with_shares(_by_axis(ESTIMATE_ALARMS, large))},
         "starting_share": dict(zip(AXES, shares, strict=True)),
         "events": records,
@@ -235,49 +230,3 @@ def _by_axis(names: Sequence[str], values: Sequence[Sequence[Any]]) -> dict[str,
 def _seconds(columns: Columns, mask: Mask) -> float | None:
     """Time of the rows of a mask [s]."""
     return number(np.sum(mask) * columns.period)
-
-
-def _isolation(columns: Columns, true: Truth, events: Sequence[FaultEvent]) -> dict[str, Any]:
-    """Hold what is declared against what is faulty, in seconds: confusion matrices, isolation accuracy.
-
-    Rows of the matrices are the truth, columns what is declared; as several axes may be, a row may add up to
-    more than its time, ``time``. The grace after the fault of any axis does not count.
-
-    ``confusion_single_s``: where no other axis is faulty; ``confusion_any_s``: whatever the others are;
-    ``confusion_by_kind_s``: whether the faulty axis itself, a healthy one (other), or none is declared;
-    ``isolation_tested_s``: how long something is declared while some axes are faulty and others are healthy;
-    ``isolation_correct_s``: how long of it no healthy axis is.
-    """
-    counted = np.all(columns.known & (true.faulty | true.healthy), axis=1)
-    declared, faulty = columns.declared & counted[:, None], true.faulty & counted[:, None]
-    wrong, nothing = np.any(declared & ~faulty, axis=1), ~np.any(declared, axis=1)
-    tested = ~nothing & np.any(faulty, axis=1) & ~np.all(faulty, axis=1)
-
-    def cross(rows: Mapping[str, Mask]) -> Matrix:
-        said = {**dict(zip(AXES, declared.T, strict=True)), NO_AXIS: nothing, TIME: True}
-        return {
-            name: {claim: _seconds(columns, row & there) for claim, there in said.items()}
-            for name, row in rows.items()
-        }
-
-    faulty_axes = np.sum(faulty, axis=1)
-    alone = faulty & (faulty_axes == 1)[:, None]
-    by_kind: dict[str, Any] = {}  # to the number of samples in each column
-    for event in events:
-        axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
-        there = faulty[rows, axis]
-        said = (declared[rows, axis], wrong[rows], nothing[rows], True)
-        counts = np.array([np.sum(there & claim) for claim in said])
-        by_kind[event.kind] = by_kind.get(event.kind, 0) + counts
-    names = ("own", "other", NO_AXIS, TIME)
-    return {
-        **isolation_metrics(_seconds(columns, tested), _seconds(columns, tested & ~wrong)),
-        "confusion_single_s": cross(
-            {NO_AXIS: counted & (faulty_axes == 0), **dict(zip(AXES, alone.T, strict=True))}
-        ),
-        "confusion_any_s": cross(dict(zip(AXES, faulty.T, strict=True))),
-        "confusion_by_kind_s": {
-            kind: dict(zip(names, map(number, counts * columns.period), strict=True))
-            for kind, counts in by_kind.items()
-        },
-    }
