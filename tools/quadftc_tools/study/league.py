@@ -47,6 +47,11 @@ SAMPLES = 2.0  # of a slow sensor, by which an onset is dated no better
 REPEATS = 6  # of each case on each log: every axis, both signs
 VEHICLE = "crazyflie_2x"  # of observers, where the log says none
 SIMULATED = "simulation"
+SUITED = (
+    "ROS 2 bag",
+    "Crazyflie uSD",
+    SIMULATED,
+)  # for an observer: torque [N m] or own attitude
 HEALTHY_HEADINGS = ("who", "logs", "number", "in flight", "findings", "per hour")
 AXES = {"gyro": "xyz", "accelerometer": "xyz", "attitude": ("roll", "pitch", "yaw")}
 CASES = {
@@ -210,11 +215,12 @@ def watch(judge: Judge, logs: Sequence[FlightLog]) -> Watch:
     return Watch(len(logs), sum(prepare(log).duration for log in logs), sum(len(judge(log)) for log in logs))
 
 
-def healthy_rows(who: str, watches: Mapping[str, Watch]) -> Iterator[list[str]]:
-    """How long healthy logs are, what is found in them, and how often an hour; at last for all recordings."""
+def healthy_rows(who: str, watches: Mapping[str, Watch], each_group: bool) -> Iterator[list[str]]:
+    """How long healthy logs are, what is found in them, how often an hour: by group if asked, and in all."""
     recorded = [each for group, each in watches.items() if group != SIMULATED]
     total = Watch(*(sum(column) for column in zip(*recorded, strict=True)))
-    for group, (logs, seconds, found) in {**watches, "all recordings": total}.items():
+    shown = {**(watches if each_group else {}), "all recordings": total}
+    for group, (logs, seconds, found) in shown.items():
         low, high = (write_number(3600.0 * bound / seconds) for bound in poisson_interval(found))
         rate = f"{write_number(3600.0 * found / seconds)} [{low}, {high}]"
         yield [who, group, str(logs), f"{seconds:.0f} s", str(found), rate]
@@ -265,10 +271,11 @@ def make(data: Path) -> dict[str, str]:
             taken = [log for log in logs if is_offline or (log.attitude and log.gyros)]
             if taken:
                 watches[group] = watch(judge, taken)
+                say(f"{who}: {group}", stderr=True)
+            if taken and (is_offline or group in SUITED):
                 cells = [case_cell(judge, taken, title, is_offline) for title in CASES]
                 of_faults += [[who, group, *cells]] if set(cells) != {NOTHING} else []
-                say(f"{who}: {group}", stderr=True)
-        of_healthy += healthy_rows(who, watches)
+        of_healthy += healthy_rows(who, watches, is_offline)
     return {
         "league-healthy": markdown(HEALTHY_HEADINGS, of_healthy),
         "league-faults": markdown(["who", "logs", *CASES], of_faults),
