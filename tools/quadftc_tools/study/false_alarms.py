@@ -1,12 +1,12 @@
 """How often `quadftc diagnose` is wrong: on healthy flights, simulated and real, and of all it finds.
 
-    python -m quadftc_tools.study.false_alarms [--flights 500] [--faulty 150] [--seed 70000] [--data DATA]
+    python -m quadftc_tools.study.false_alarms [--flights 500] [--faulty 150] [--seed 80000] [--data DATA]
         [--docs docs] [--write]
 
 Random vehicles fly in free flight. Each flight is written as ArduPilot and as PX4 log it by default, read
 back and judged. As many more have a fault. The tables go into docs/diagnose.md, or onto the screen without
 ``--docs``. ``--write`` stores the healthy flights for ``--false-alarms``, with some that tests fly again.
-Nothing was tuned on flights from seed 70000 on.
+Nothing was tuned on flights from seed 80000 on.
 """
 
 from __future__ import annotations

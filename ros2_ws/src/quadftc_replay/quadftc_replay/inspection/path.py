@@ -37,6 +37,7 @@ USABLE = 0.5  # m/s²; sigma of a path that says anything
 ONSET = 0.1  # 1; of the window: standard deviation of the begin that the path tells
 # windows before and after, over which causes are compared: later, estimators have learned
 AROUND = (2.0, 1.5)
+EXPLAINED = 0.75  # 1; share of what parts that a sensor makes; aliased vibration comes on several axes
 
 
 class Path(NamedTuple):
@@ -178,12 +179,12 @@ def causes_of(flight: Flight, path: Path) -> Iterator[Cause]:
         if path.time[run.stop - 1] - path.time[run.start] >= 0.5 * path.window:
             before = np.flatnonzero(~(size[: run.start] > path.smallest))
             start = int(before[-1]) + 1 if len(before) else 0  # it may have begun before take-off
-            yield _best_cause(path, float(path.time[start]))
+            yield from _best_cause(path, float(path.time[start]))
             return
 
 
-def _best_cause(path: Path, moment: float) -> Cause:
-    """Compare all causes around a moment [s], by what they leave."""
+def _best_cause(path: Path, moment: float) -> Iterator[Cause]:
+    """Compare all causes around a moment [s], by what they leave; none counts that leaves much."""
     rows = slice(
         *np.searchsorted(path.time, (moment - AROUND[0] * path.window, moment + AROUND[1] * path.window))
     )
@@ -209,9 +210,10 @@ def _best_cause(path: Path, moment: float) -> Cause:
             )
             found.append((left, cause))
     found.sort(key=lambda each: each[0])
-    best = found[0][1]
+    left, best = found[0]
     other = next((each for _, each in found if each[:2] != best[:2]), best)
-    return best._replace(second=f"{other.component}/{other.element}".rstrip("/"))
+    if left < (1.0 - EXPLAINED) * float(np.sum(rest**2)):
+        yield best._replace(second=f"{other.component}/{other.element}".rstrip("/"))
 
 
 def _shapes(late: Floats, window: float) -> Iterator[tuple[tuple[str, str], Floats, int, float]]:
