@@ -27,7 +27,7 @@ from quadftc_bags.storage import BagError, Damage, IsWanted, Message, Record
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _LENGTH, _TIME = struct.Struct("<I"), struct.Struct("<II")
-_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7  # values of the field op
+_MESSAGE, _BAG, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7  # values of the field op
 HEADER, TIMES = "std_msgs/msg/Header", ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _LARGEST = 1 << 30  # bytes of a chunk; a greater one is damage
 
@@ -110,7 +110,7 @@ def _fields(data: bytes | memoryview) -> dict[str, bytes]:
 
 
 def _read_file(stream: BinaryIO, topics: _Topics) -> Iterator[Record]:
-    size = os.fstat(stream.fileno()).st_size
+    size, missing = os.fstat(stream.fileno()).st_size, 0  # chunks of which the index has still to tell
     while (offset := stream.tell()) < size:
         header, data, is_cut = dict[str, bytes](), b"", False
         try:
@@ -118,6 +118,10 @@ def _read_file(stream: BinaryIO, topics: _Topics) -> Iterator[Record]:
             data, is_cut = _block(stream)
             if header["op"] == bytes([_CHUNK]):
                 yield from _read_chunk(header, data, topics)
+            elif header["op"] == bytes([_BAG]):  # whose index begins at 0 if the bag was never closed
+                missing = _LENGTH.unpack(header["chunk_count"])[0] + (not any(header["index_pos"]))
+            elif header["op"] == bytes([_CHUNK_INFO]):
+                missing -= 1
             elif not is_cut:
                 yield from _read_record(header, memoryview(data), topics)
             if is_cut:
@@ -127,6 +131,8 @@ def _read_file(stream: BinaryIO, topics: _Topics) -> Iterator[Record]:
             yield Damage(offset, (size if is_end else stream.tell()) - offset, is_end, False, None)
             if is_end:
                 return
+    if missing > 0:
+        yield Damage(size, 0, True, True, None)
 
 
 def _block(stream: BinaryIO) -> tuple[bytes, bool]:

@@ -8,18 +8,19 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
+import zlib
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, cast
 
+import lz4.frame  # pyright: ignore[reportMissingTypeStubs]
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 from ruamel.yaml import YAML, YAMLError
 
@@ -30,6 +31,8 @@ _NONE = 0  # no opcode; zeros fill a file that lost its end with the power
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _LATEST = 2**63 - 1  # ns; a later time is damage
+_LARGEST = 1 << 30  # bytes of a chunk; a greater one is damage
+_RATIO = 100  # bytes unpacked for a byte of the file, beside `_LARGEST`; beyond, it is no recording
 _CHUNK_SPAN = struct.Struct("<QQ")  # first and last log time, with which a chunk begins
 _READERS: dict[int, Callable[[ReadDataStream], Header | Schema | Channel | Attachment | Metadata]] = {
     Opcode.HEADER: Header.read,
@@ -137,12 +140,14 @@ def read_records(path: Path) -> Iterator[Record]:
 
 def _read_file(stream: BinaryIO) -> Iterator[Record]:
     size = os.fstat(stream.fileno()).st_size
-    is_index = False
+    is_index, left = False, _LARGEST + _RATIO * size  # bytes that may still be unpacked
     while True:
         offset = stream.tell()
         head = stream.read(_HEAD.size)
         opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (_NONE, 0)
         if opcode == Opcode.FOOTER:
+            if stream.read(length + len(MCAP0_MAGIC) + 1)[length:] != MCAP0_MAGIC:
+                yield Damage(offset, size - offset, True, True, None)
             return
         if opcode == _NONE or length > size - stream.tell():
             span_ns = _chunk_span(opcode, stream.read(_CHUNK_SPAN.size))
@@ -154,7 +159,12 @@ def _read_file(stream: BinaryIO) -> Iterator[Record]:
             continue
         body = stream.read(length)
         try:
-            yield from _read_sequence(_chunk_data(body) if opcode == Opcode.CHUNK else head + body)
+            data = _chunk_data(body) if opcode == Opcode.CHUNK else head + body
+            if (left := left - len(data)) < 0:
+                raise BagError(f"{stream.name}: more than {_RATIO} bytes unpacked for each byte of the file")
+            yield from _read_sequence(data)
+        except BagError:
+            raise
         except _DAMAGE:
             yield Damage(offset, _HEAD.size + length, False, is_index, _chunk_span(opcode, body))
 
@@ -187,9 +197,23 @@ def _read_sequence(data: bytes) -> Iterator[Record]:
 
 
 def _chunk_data(body: bytes) -> bytes:
-    """Return the records inside a chunk, after checking their sum."""
-    stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
-    return stream.read(size)
+    """Return the records inside a chunk, after checking their size and sum; never more than it states."""
+    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+    size = chunk.uncompressed_size
+    if size > _LARGEST:
+        raise ValueError("a chunk is too large")
+    data = chunk.data
+    if chunk.compression == "zstd":
+        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+            data = stream.read(size + 1)
+    elif chunk.compression == "lz4":
+        unpacker: Any = lz4.frame.LZ4FrameDecompressor()
+        data = unpacker.decompress(data, size + 1)
+    elif chunk.compression:
+        raise ValueError(f"compression {chunk.compression}")
+    if len(data) != size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
+        raise ValueError("a chunk is not what it states")
+    return data
 
 
 @contextlib.contextmanager

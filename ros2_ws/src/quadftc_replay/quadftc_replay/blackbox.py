@@ -54,6 +54,7 @@ ONE_AND_A_HALF = 8  # predictor: 1500
 ADJUSTMENT, LOG_END = 13, 255  # events
 NUMBERS = {0: 1, 14: 2, 15: 1, 30: 2, 40: 1, 50: 1}  # event -> unsigned numbers in it
 END = b"End of log"
+LONGEST_END = 64  # bytes behind that, up to a zero: why the vehicle was disarmed
 
 
 class BlackboxLog(NamedTuple):
@@ -122,18 +123,21 @@ def _read_header(data: mmap.mmap, start: int, stop: int) -> tuple[dict[str, str]
     return header, min(at, stop)
 
 
+def whole_number(text: str) -> int:
+    """Return a number of up to nine digits that a header has; -1: it is none."""
+    text = text.strip()
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 10 else -1
+
+
 def _frames(header: Mapping[str, str], where: str) -> dict[str, _Frame]:
     """Kinds of frames that a header defines; BagError if that of the main ones makes no sense."""
     frames = dict[str, _Frame]()
     for letter in "IPSGH":
         names = header.get(f"Field {'I' if letter == 'P' else letter} name", "")
-        try:
-            encodings, predictors = (
-                [int(each) for each in header.get(f"Field {letter} {what}", "").split(",")]
-                for what in ("encoding", "predictor")
-            )
-        except ValueError:
-            continue
+        encodings, predictors = (
+            [whole_number(each) for each in header.get(f"Field {letter} {what}", "").split(",")]
+            for what in ("encoding", "predictor")
+        )
         fields = tuple(name.strip() for name in names.split(","))
         if len(fields) == len(encodings) == len(predictors) and ENCODINGS.issuperset(encodings):
             # an increment is not written at all
@@ -155,7 +159,7 @@ class _Chain(NamedTuple):
     places: Ints  # (n,) behind their letters
     breaks: NDArray[np.bool_]  # (n,) bytes that make no frame are before it
     skipped: int  # such bytes
-    after: int  # place where the next block begins
+    after: int  # place where the next block begins, or behind the end mark
     is_ended: bool
 
 
@@ -181,8 +185,7 @@ class _Decoder:
         self.numbers = [fields.index(name) for name in self.names]
         self.constants = {0: 0, ONE_AND_A_HALF: 1500}
         for predictor, name in CONSTANTS.items():
-            first = header.get(name, "0").split(",")[0]
-            self.constants[predictor] = int(first) if first.isdigit() else 0
+            self.constants[predictor] = max(whole_number(header.get(name, "").split(",")[0]), 0)
         self.skipped = self.dropped = 0
 
     def run(self, at: int, stop: int) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
@@ -198,6 +201,7 @@ class _Decoder:
             blocks.add(_wrapped(self._decode(block, chain)).astype(np.int32))
             self.skipped += chain.skipped
             at, is_ended = at + chain.after, chain.is_ended
+        is_ended &= self.data.find(b"\0", at, min(at + LONGEST_END, stop)) >= 0
         rows = blocks.rows()
         if not len(rows):
             raise BagError(f"{self.where}: no frames that make sense")
@@ -241,7 +245,7 @@ class _Decoder:
         found = np.array(chain, np.int64)
         is_ended = bool(len(found)) and is_final[chain[-1]] and is_good[chain[-1]]
         last = np.flatnonzero(letters[found] == ord("I"))
-        after = size
+        after = int(behind[found[-1]]) if is_ended else size
         if not is_last and not is_ended and len(last) and starts[found[last[-1]]] > 0:
             after = int(starts[found[last[-1]]])
             found = found[: last[-1]]

@@ -132,7 +132,10 @@ def summarise(
         text += f"; the log is not whole ({flight.log.incomplete})" if flight.log.incomplete else ""
         text += f"; {doubtful}" if doubtful else ""
     elif outcome == "healthy":
-        all_of_it = f"{join([*REQUIRED])} were judged over the whole flight, {flight.duration:.0f} s"
+        # a log that ends in the air may be cut, also where its format has no mark for the end
+        in_air = ending.kind == "in flight" and flight.phases_known
+        of = "until the log ends in flight" if in_air else "over the whole flight"
+        all_of_it = f"{join([*REQUIRED])} were judged {of}, {flight.duration:.0f} s"
         text = f"{ended}; no fault found: {all_of_it}" if ended else f"No fault found: {all_of_it}"
     else:
         text = _why_not(flight, judged, missing, ended, doubtful)

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from quadftc_model.rotations import quaternion_from_euler, quaternion_product
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_replay.blackbox import BlackboxLog, read_blackbox
+from quadftc_replay.blackbox import BlackboxLog, read_blackbox, whole_number
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.layouts import Layout, frame_layout, mixer_layout
 from quadftc_replay.readers.signals import Signals
@@ -86,7 +86,7 @@ def _firmware(header: Mapping[str, str]) -> tuple[str, int]:
     """Name of the firmware, and the first number of its version."""
     revision = header.get("Firmware revision", "")
     named = re.match(r"([A-Za-z]+) ", revision)
-    version = re.search(r"(\d+)\.\d+", revision)
+    version = re.search(r"(\d{1,9})\.\d", revision)
     name = named[1] if named else header.get("Firmware type", "unknown")
     return name, int(version[1]) if version else 0
 
@@ -174,8 +174,9 @@ def _output_range(header: Mapping[str, str]) -> tuple[float, float]:
         [header.get(f"{end}throttle", "") for end in ("min", "max")],
     ]
     for pair in pairs:
-        if len(pair) == 2 and all(each.strip().isdigit() for each in pair) and int(pair[0]) < int(pair[1]):
-            return float(pair[0]), float(pair[1])
+        ends = [whole_number(each) for each in pair]
+        if len(ends) == 2 and 0 <= ends[0] < ends[1]:
+            return float(ends[0]), float(ends[1])
     return 1000.0, 2000.0
 
 

@@ -16,7 +16,7 @@ from quadftc_replay.flight_log import Event, FlightLog, Floats, Signal, Watched
 
 Stamps = NDArray[np.int64]
 MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a damaged stamp
-LARGEST = 1e9  # of a parameter
+LARGEST = 1e9  # of a parameter, and of a measurement in SI
 NAMED = (
     *("gyros", "accelerometers", "magnetometers", "barometers"),
     *("gps_positions", "gps_velocities", "gps_status"),
@@ -63,7 +63,7 @@ class Signals:
         is_least: bool = False,
     ) -> None:
         """Take a signal (n,) that has a limit."""
-        rows = np.asarray(value, np.float64).reshape(len(stamp_ns), 1)
+        rows, _ = measured(np.asarray(value, np.float64).reshape(len(stamp_ns), 1))
         kept, _ = good_stamps(stamp_ns)
         if len(kept) > 1:
             signal = Stamped(_take(stamp_ns, kept), _take(rows, kept))
@@ -75,8 +75,9 @@ class Signals:
 
         ``source`` is its name in the log, for notes; ``name`` tells several of a kind apart.
         """
-        rows = np.asarray(value, np.float64)
-        rows = rows.reshape(len(stamp_ns), -1)
+        rows, damaged = measured(np.asarray(value, np.float64).reshape(len(stamp_ns), -1))
+        if damaged:
+            self.notes.append(f"{source}: {damaged} values beyond {LARGEST:g} left out")
         kept = np.flatnonzero(np.isfinite(rows).any(axis=1))
         chosen, complaint = good_stamps(_take(stamp_ns, kept))
         kept = _take(kept, chosen)
@@ -154,6 +155,13 @@ class Signals:
             if int(signal.stamp_ns[-1]) < first or int(signal.stamp_ns[0]) > last:
                 del holder[name]
                 self.notes.append(f"{name or 'main sensor'}: its stamps are of another clock; left out")
+
+
+def measured(rows: Floats) -> tuple[Floats, int]:
+    """Put NaN for values that no sensor gives, infinity among them; say for how many."""
+    damaged = np.abs(rows) >= LARGEST
+    count = int(np.sum(damaged))
+    return (np.where(damaged, np.nan, rows) if count else rows), count
 
 
 def _take(values: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
