@@ -28,6 +28,7 @@ from quadftc_cli.live_page.page import Flown, add_page
 from quadftc_cli.live_page.picture import Picture
 from quadftc_model.vehicle import load_vehicle
 from quadftc_report.serve.access import OwnerOnly
+from quadftc_report.serve.connections import ImpatientProtocol, allow_connections
 from quadftc_report.serve.local import address_of, browser_at
 
 OUTPUTS = Path("results")
@@ -90,8 +91,14 @@ def main(channel: int, listener: int, flown: str, *options: str) -> None:
     server: list[uvicorn.Server] = []
     flight, browsers = socket.socket(fileno=channel), socket.socket(fileno=listener)
     app = make_app(flight, browsers, Flown(**json.loads(flown)), server, "open" in options)
+    allow_connections()
     config = uvicorn.Config(
-        app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=1
+        app,
+        http=ImpatientProtocol,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=1,
     )
     server.append(uvicorn.Server(config))
     server[0].run(sockets=[browsers])
