@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from rotor_isolability import alike, effects_in_hover, largest_cosine
 
 from quadftc_model.vehicle import load_vehicle
-from quadftc_theory.rotor_isolability import alike, effects_in_hover, largest_cosine
 
 X500 = load_vehicle("x500")
 
