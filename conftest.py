@@ -76,7 +76,7 @@ SLOW_FILES = {
     "test_export_emulated.py",
     "test_fault_observer_contract.py",
     "test_free_flight.py",
-    "test_fuzz.py",
+    "test_attack_files.py",
     "test_golden_logs.py",
     "test_golden_observers.py",
     "test_graph_lockstep.py",
@@ -141,12 +141,18 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     os.environ.setdefault("XLA_FLAGS", QUICK_TO_COMPILE)
     os.environ.setdefault("NPROC", "1")  # so many threads has JAX
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = ""
+    from quadftc_ros.reach import stay_local  # pure
+
+    stay_local()
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job; its children ignore it, too
         signal.signal(signal.SIGINT, signal.default_int_handler)
     gc.set_threshold(100_000, 20, 100)  # the usual ones cost a tenth of the time: JAX keeps many objects
     config.stash[DOMAIN_LOCK] = _own_domain()
-    settings.load_profile("thorough" if config.getoption("--thorough") else "usual")
+    if examples := config.getoption("--examples"):
+        settings.register_profile("asked", settings.get_profile("thorough"), max_examples=examples)
+    usual = "thorough" if config.getoption("--thorough") else "usual"
+    settings.load_profile("asked" if examples else usual)
 
 
 DOMAIN_LOCK = pytest.StashKey[IO[str]]()
@@ -155,6 +161,7 @@ DOMAIN_LOCK = pytest.StashKey[IO[str]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let everything be asked for."""
     parser.addoption("--thorough", action="store_true", help="run the tests marked thorough, too")
+    parser.addoption("--examples", type=int, help="of each property test")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from quadftc_flight.graph.plan import GraphPlan
 
 ROOT = Path(__file__).resolve().parents[1]
-RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 BAD_INPUT, FAILED, INTERRUPTED = 2, 3, 130
 ENTER = """
 . "$1/scripts/lib/common.sh"
@@ -197,19 +196,13 @@ def with_attachments(options: argparse.Namespace, plan: GraphPlan, folder: Path)
     return dataclasses.replace(plan, attachments=tuple(folder / name for name in texts))
 
 
-def reach() -> str:
-    """Say who can find the graph, by what ROS 2 goes by."""
-    found, domain = os.environ.get(RANGE, ""), os.environ.get("ROS_DOMAIN_ID") or 0
-    words = {"LOCALHOST": "this machine only (--network opens it)", "SUBNET": "this machine and its network"}
-    return f"ROS domain {domain}, found by {words.get(found, f'{RANGE}={found}')}"
-
-
 def launch(options: argparse.Namespace) -> int:
     """Run the graph; return the exit code."""
     from quadftc_flight.graph.introduction import farewell, introduction
     from quadftc_flight.graph.plan import GraphError, GraphPlan, check_options, check_remaps
     from quadftc_flight.runs import GRAPHS, check_namespace
     from quadftc_ros.executor import StopSignals
+    from quadftc_ros.reach import reach
     from quadftc_ros.scheduling import Scheduling
 
     graph, wall = None, 0.0
@@ -230,7 +223,8 @@ def launch(options: argparse.Namespace) -> int:
             onboard=options.onboard,
             remaps=tuple(options.remap),
         )
-        sys.stderr.write("".join(f"{line}\n" for line in [*introduction(plan), reach()]))
+        hint = "" if options.network else " (--network opens it)"
+        sys.stderr.write("".join(f"{line}\n" for line in [*introduction(plan), reach() + hint]))
         with (
             tempfile.TemporaryDirectory(prefix="quadftc_") as folder,
             StopSignals() as stop,
@@ -253,13 +247,12 @@ def launch(options: argparse.Namespace) -> int:
 def main() -> int:
     """Run the command, inside the environment that scripts/setup made."""
     options = parse(sys.argv[1:])
-    if options.network:
-        os.environ[RANGE] = "SUBNET"
-    else:
-        os.environ.setdefault(RANGE, "LOCALHOST")
     if importlib.util.find_spec("quadftc_cli") is None:
         arguments = ["bash", "-c", ENTER, "bash", str(ROOT), str(Path(__file__).resolve()), *sys.argv[1:]]
         os.execvp("bash", arguments)
+    from quadftc_ros.reach import open_to_network, stay_local
+
+    (open_to_network if options.network else stay_local)()
     try:
         return launch(options)
     except KeyboardInterrupt:  # before anything was started; or a second time, and then all was ended

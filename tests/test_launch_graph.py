@@ -89,7 +89,7 @@ def nodes_running() -> list[str]:
     ("graph", "option", "words"),
     [
         ("composed", ("--network",), "this machine and its network"),
-        ("processes", (), "found by this machine only (--network opens it)"),
+        ("processes", (), "sockets on 127.0.0.1; SROS2 off (--network opens it)"),
     ],
 )
 def test_flight_of_a_scenario_ends_with_0_and_a_whole_bag(tmp_path: Path, graph: str, option, words: str):

@@ -21,7 +21,18 @@ quadftc_enter() {
       ;;
   esac
   export COLCON_DEFAULTS_FILE="$root/.venv/colcon_defaults.yaml"
-  export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+  quadftc_stay_local "$root/ros2_ws/src/quadftc_ros/quadftc_ros/loopback.xml"
+}
+
+# Binds Fast DDS to the loopback by a profile $1, unless a range is set: as quadftc_ros.reach, which says more.
+quadftc_stay_local() {
+  [ -z "${ROS_AUTOMATIC_DISCOVERY_RANGE:-}" ] || return 0
+  case "${RMW_IMPLEMENTATION:-rmw_fastrtps_cpp}:${FASTRTPS_DEFAULT_PROFILES_FILE:-}" in
+    rmw_fastrtps*: | rmw_fastrtps*:"$1")
+      export ROS_AUTOMATIC_DISCOVERY_RANGE=SYSTEM_DEFAULT FASTRTPS_DEFAULT_PROFILES_FILE="$1"
+      ;;
+    *) export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ;;
+  esac
 }
 
 # Drops from the path list named $1 what another sourced ROS 2 put there.

@@ -12,6 +12,7 @@ setup(
     maintainer="quadftc maintainers",
     maintainer_email="maintainers@quadftc.example",
     packages=find_packages(exclude=["test"]),
+    package_data={PACKAGE: ["loopback.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

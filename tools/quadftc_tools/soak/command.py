@@ -18,12 +18,14 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", str(81 + os.getpid() % 21))  # away from those of the tests, and from 0
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD
 from quadftc_cli.main import guarded
 from quadftc_cli.screen import console, say
+from quadftc_ros.reach import stay_local
+
+stay_local()
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
@@ -53,27 +55,6 @@ def disk(trials: TrialsOption = 20, seed: SeedOption = 1, out: OutOption = None)
     from quadftc_tools.soak.recorder import DISK_FULL
 
     _hit_recorders(DISK_FULL, trials, seed, out)
-
-
-@app.command()
-def fuzz(
-    minutes: Annotated[float, typer.Option(min=0.0, help="How long.")] = 10.0,
-    seed: Annotated[int, typer.Option(help="Of the inputs.")] = 1,
-    target: Annotated[list[str], typer.Option(help="Only this; may be repeated.")] = [],  # noqa: B006
-    crashes: Annotated[
-        Path, typer.Option(metavar="DIR", help="Inputs that were answered wrongly; tried again first.")
-    ] = Path("results/fuzz"),
-    out: OutOption = None,
-) -> None:
-    """Feed every command and file bad input; keep what is not answered in a line and an exit code."""
-    from quadftc_tools.soak import fuzz as part
-    from quadftc_tools.soak.fuzz_targets import TARGETS
-
-    for name in target:
-        if name not in TARGETS:
-            raise ValueError(f"--target: no '{name}'; there are: {', '.join(TARGETS)}")
-    done = part.Fuzzing(crashes.resolve(), target or list(TARGETS), seed, say).run(60.0 * minutes)
-    _finish(part.table(done), part.summary(done, seed, minutes), done, out)
 
 
 @app.command()

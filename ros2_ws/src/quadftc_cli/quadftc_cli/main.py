@@ -20,12 +20,12 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-# this machine only, unless asked otherwise; read when ROS starts, so before any of its modules
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
 from quadftc_cli import commands
 from quadftc_cli.commands import BAD_INPUT, GOOD, INTERNAL, INTERRUPTED
 from quadftc_model.versions import software_version
+from quadftc_ros.reach import stay_local
+
+stay_local()  # read when ROS starts
 
 # errors by their names, as their modules take long to import: raised by bad input; by a graph
 BAD_INPUT_ERRORS = ("quadftc_campaign.errors.CampaignError", "quadftc_flight.run_files.RunError")

@@ -25,6 +25,7 @@ from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import ScenarioError, find_scenario, load_scenario, scenario_names
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_ros.executor import make_executor
+from quadftc_ros.reach import LOOPBACK, PROFILE, RANGE, is_bound, open_addresses, outside, reach
 from quadftc_ros.topics import TOPICS
 
 MIN_DISK = 500e6  # bytes; a bag of 80 s at 250 Hz takes about 20 MB
@@ -105,10 +106,21 @@ def _communication() -> str:
         context.try_shutdown()
 
 
-def _discovery() -> str:
-    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET (ROS 2's default)")
-    domain = os.environ.get("ROS_DOMAIN_ID", "0 (default)")
-    return f"ROS_AUTOMATIC_DISCOVERY_RANGE {reach}, ROS_DOMAIN_ID {domain}"
+def _reach() -> str:
+    """Say who can reach nodes, and where their sockets really are."""
+    context = Context()
+    context.init()
+    node = rclpy.create_node("doctor", context=context, use_global_arguments=False)
+    try:
+        abroad = outside(open_addresses())
+    except OSError:  # no /proc
+        return reach()
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    if abroad and is_bound():
+        raise RuntimeError(f"sockets on {', '.join(abroad)}, though {PROFILE} is {LOOPBACK}")
+    return f"{reach()}; a node's sockets are on {', '.join(abroad) or '127.0.0.1 only'}"
 
 
 def _disk() -> str:
@@ -128,6 +140,6 @@ CHECKS: dict[str, tuple[Callable[[], str], str]] = {
     "vehicles": (lambda: ", ".join(load_vehicle(name).name for name in vehicle_names()), MEND_FILE),
     "scenarios": (_scenarios, MEND_FILE),
     "communication": (_communication, "check ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the loopback network"),
-    "discovery": (_discovery, "set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"),
+    "reach": (_reach, f"unset {RANGE} and {PROFILE}"),
     "disk": (_disk, "free some space"),
 }
