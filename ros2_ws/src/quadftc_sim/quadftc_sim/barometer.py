@@ -13,7 +13,8 @@ import dataclasses
 from typing import NamedTuple
 
 from quadftc_model.arrays import Array, Flag, Scalar, exp, sqrt, where
-from quadftc_model.parameters import Checked, parameter
+from quadftc_model.parameters import parameter
+from quadftc_sim.sensors import SlowSensor
 
 SEA_LEVEL = 101325.0  # Pa, P0
 TEMPERATURE = 288.15  # K, T0; at sea level
@@ -47,26 +48,15 @@ class PressureSample(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Barometer(Checked):
+class Barometer(SlowSensor):
     """Sensor model of a barometer; by default there is none."""
 
-    rate: float = parameter(
-        0.0,
-        unit="Hz",
-        low=0.0,
-        high=4000.0,
-        doc="of its samples, at most that of the IMU; 0: there is none",
-    )
     noise: float = parameter(0.0, unit="Pa", low=0.0, high=1e3, doc="white noise of a sample, 1 sigma")
     wander: float = parameter(0.0, unit="Pa", low=0.0, high=1e4, doc="slow error, 1 sigma")
     wander_time: float = parameter(100.0, unit="s", low=0.01, doc="correlation time of the slow error")
     altitude: float = parameter(
         0.0, unit="m", low=-500.0, high=9000.0, doc="of the place where the vehicle starts, above sea level"
     )
-
-    def every(self, imu_rate: float) -> int:
-        """How many samples of the IMU, at ``imu_rate`` [Hz], come to one of it: the nearest number."""
-        return max(1, round(imu_rate / self.rate))
 
     def init(self, draws: Array) -> Scalar:
         """Return the slow error [Pa] at the start; ``draws`` as of the inputs."""

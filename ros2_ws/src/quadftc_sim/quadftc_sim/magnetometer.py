@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 from quadftc_model.arrays import Flag, Quaternion, Vector, namespace
 from quadftc_model.numbers import prepared
-from quadftc_model.parameters import Checked, parameter
+from quadftc_model.parameters import parameter
 from quadftc_model.rotations import to_body
+from quadftc_sim.sensors import SlowSensor
 
 MICROTESLA = 1e-6  # T
 
@@ -38,16 +39,9 @@ class FieldSample(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Magnetometer(Checked):
+class Magnetometer(SlowSensor):
     """Sensor model of a magnetometer; by default there is none."""
 
-    rate: float = parameter(
-        0.0,
-        unit="Hz",
-        low=0.0,
-        high=4000.0,
-        doc="of its samples, at most that of the IMU; 0: there is none",
-    )
     noise: float = parameter(0.0, unit="T", low=0.0, high=1e-3, doc="white noise of a sample, 1 sigma")
     hard_iron: float = parameter(
         0.0, unit="T", low=0.0, high=1e-3, doc="offset of each axis that a calibration leaves, 1 sigma"
@@ -67,10 +61,6 @@ class Magnetometer(Checked):
         level = self.strength * math.cos(self.inclination)
         east, north = level * math.sin(self.declination), level * math.cos(self.declination)
         return east, north, -self.strength * math.sin(self.inclination)
-
-    def every(self, imu_rate: float) -> int:
-        """How many samples of the IMU, at ``imu_rate`` [Hz], come to one of it: the nearest number."""
-        return max(1, round(imu_rate / self.rate))
 
     def init(self, draws: Vector) -> Vector:
         """Return the hard iron [T] of a flight; ``draws`` (..., 3) are standard normal numbers."""

@@ -10,9 +10,10 @@ import dataclasses
 from typing import NamedTuple
 
 from quadftc_model.arrays import Array, Flag, Vector, column, exp, namespace, sqrt
-from quadftc_model.parameters import Axes, Checked, parameter
+from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import PositionSample
 from quadftc_sim.delay_line import fill_line, shift_line
+from quadftc_sim.sensors import SlowSensor
 
 
 class PositionInputs(NamedTuple):
@@ -32,7 +33,7 @@ class PositionSensorState(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class PositionSensor(Checked):
+class PositionSensor(SlowSensor):
     """Sensor model of position and velocity, in earth axes."""
 
     rate: float = parameter(
@@ -46,10 +47,6 @@ class PositionSensor(Checked):
     wander_time: float = parameter(30.0, unit="s", low=0.01, doc="correlation time of the slow error")
     gives_velocity: bool = parameter(False, doc="whether it measures the velocity, too")
     velocity_noise: Axes = parameter((0.0, 0.0, 0.0), unit="m/s", low=0.0, doc="noise of a velocity, 1 sigma")
-
-    def every(self, imu_rate: float) -> int:
-        """How many samples of the IMU, at ``imu_rate`` [Hz], come to one position: the nearest number."""
-        return max(1, round(imu_rate / self.rate))
 
     def lag(self, imu_rate: float) -> int:
         """How many samples of the IMU a position is behind."""

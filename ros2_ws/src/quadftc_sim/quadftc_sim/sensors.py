@@ -119,6 +119,19 @@ class ImuSensor(Checked):
         return keep * wander + sqrt((1.0 - keep**2) / len(WANDER_TIMES)) * size * draws
 
 
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class SlowSensor(Checked):
+    """Base of the sensors that measure at every n-th sample of the IMU."""
+
+    rate: float = parameter(
+        0.0, unit="Hz", low=0.0, high=4000.0, doc="of its samples, at most that of the IMU; 0: there is none"
+    )
+
+    def every(self, imu_rate: float) -> int:
+        """How many samples of the IMU, at ``imu_rate`` [Hz], come to one of it: the nearest number."""
+        return max(1, round(imu_rate / self.rate))
+
+
 def resting_force(q_xyzw: Quaternion) -> Vector:
     """Specific force [m/s²] (..., 3) of a body that does not accelerate: the reaction to gravity."""
     return STANDARD_GRAVITY * earth_z_in_body(q_xyzw)
