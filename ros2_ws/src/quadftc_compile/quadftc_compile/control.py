@@ -1,11 +1,12 @@
 # pyright: basic
-"""Loops and branches of a traced function in C: scan, while, cond."""
+"""Loops and branches of a traced function in C: scan, cond.
+
+There is no `while`: on a vehicle the data must not decide how long a step takes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-
-import numpy as np
 
 from quadftc_compile.emit import WHOLE, Emitter, Storage
 from quadftc_compile.graph import Graph, Node
@@ -53,23 +54,6 @@ def write_scan(emitter: Emitter, node: Node, results: Sequence[Storage]) -> None
     emitter.close()
 
 
-def write_while(emitter: Emitter, node: Node, results: Sequence[Storage]) -> None:
-    """Write a loop that goes on while something holds."""
-    test, body = node.params["graphs"]
-    of_test, of_body = node.params["cond_nconsts"], node.params["body_nconsts"]
-    inputs = [_storage(emitter, each) for each in node.operands]
-    for each, where in zip(node.operands[of_test + of_body :], results, strict=True):
-        emitter.copy(each, where)
-    emitter.open("for (;;)")
-    goes_on = emitter.declare((), np.dtype(bool))
-    emitter.emit(test, [*inputs[:of_test], *results], [goes_on])
-    emitter.line(f"if (!{goes_on.name}) break;")
-    after = [emitter.declare(each.shape, each.dtype) for each in body.outputs]
-    emitter.emit(body, [*inputs[of_test : of_test + of_body], *results], after)
-    _move(emitter, body.outputs, after, results)
-    emitter.close()
-
-
 def _storage(emitter: Emitter, node: Node) -> Storage:
     """Return where an operand is, as what is inside a loop reads it."""
     if node.value is not None and node.size == 1:
@@ -96,4 +80,4 @@ def _move(
         emitter.copy(held, other)
 
 
-WHOLE |= {"cond": write_cond, "scan": write_scan, "while": write_while}
+WHOLE |= {"cond": write_cond, "scan": write_scan}

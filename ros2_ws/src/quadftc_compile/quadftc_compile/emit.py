@@ -215,11 +215,6 @@ class Emitter:
         """Write a line."""
         self.lines.append("    " * self._depth + content)
 
-    def assign(self, target: str, value: Expression | str) -> None:
-        """Write an assignment."""
-        self.statements += 1
-        self.line(f"{target} = {value if isinstance(value, str) else value.text};")
-
     def open(self, head: str) -> None:
         """Begin a block."""
         self.line(f"{head} {{")

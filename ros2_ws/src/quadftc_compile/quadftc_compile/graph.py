@@ -176,7 +176,7 @@ class _Builder:
             return self._run(jaxpr, constants, operands, source)
         if name == "custom_linear_solve":
             return self._solve(params, operands, source)
-        if name in ("scan", "while", "cond"):
+        if name in ("scan", "cond"):
             return self._control(name, params, operands, out, source, outer)
         rule = _RULES.get(name)
         if rule is not None:
@@ -218,11 +218,7 @@ class _Builder:
             closed = params["branches"][operands[0].params["index"]]
             constants = [self.constant(each) for each in closed.consts]
             return self._run(closed.jaxpr, constants, operands[1:], source)
-        parts = {
-            "scan": lambda: [params["jaxpr"]],
-            "while": lambda: [params["cond_jaxpr"], params["body_jaxpr"]],
-            "cond": lambda: list(params["branches"]),
-        }[name]()
+        parts = [params["jaxpr"]] if name == "scan" else list(params["branches"])
         graphs = [graph_of(each, lambda equation: outer or self._source_of(equation)) for each in parts]
         kept = {key: params[key] for key in _COUNTS if key in params}
         return self._whole(name, operands, out, source, {**kept, "graphs": graphs})
@@ -295,10 +291,7 @@ class _Like:
     dtype: Any
 
 
-_COUNTS = (
-    *("num_consts", "num_carry", "length", "reverse"),  # of scan
-    *("cond_nconsts", "body_nconsts"),  # of while
-)
+_COUNTS = ("num_consts", "num_carry", "length", "reverse")  # of scan
 
 
 def _neutral(op: str, operands: Sequence[Node], shape: tuple[int, ...]) -> Node | None:

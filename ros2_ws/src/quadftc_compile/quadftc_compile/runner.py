@@ -135,16 +135,6 @@ def _rows(tree: Any, layout: Any) -> list[int]:
     return [np.shape(each)[0] for each, leaf in leaves if np.ndim(each) > len(leaf.shape)]
 
 
-def call_once(library: Library, law: Any, key: str, *arguments: Any) -> tuple[Any, ...]:
-    """Call a function of a library; return its results."""
-    entry = library.entries[key]
-    call = Call(entry, numbers_in(library, law), {})
-    for write, argument in zip(call.writers.values(), arguments, strict=True):
-        write(argument)
-    call.bound()()
-    return tuple(read() for read in call.readers.values())
-
-
 def numbers_in(library: Library, law: Any) -> Memory:
     """Return the memory of the numbers of a law."""
     memory = Memory(library.numbers_layout)
