@@ -75,7 +75,6 @@ def test_table_of_a_whole_imu_fits_a_screen_of_80_characters(actuators):
     [
         (("attitude", "gyro"), "faults"),
         (("attitude", "gyro"), "unknown_inputs"),
-        (("attitude", "gyro", "accelerometer"), "unknown_inputs"),
     ],
 )
 def test_tables_of_the_documentation_are_what_is_printed(sensors, disturbances):

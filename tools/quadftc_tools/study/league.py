@@ -34,7 +34,7 @@ from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.plan import FROM_GYRO
 from quadftc_tools.study.intervals import poisson_interval, share_interval
-from quadftc_tools.study.league_flights import FLOWN_FAULTY, FLOWN_HEALTHY, Truth, fly_log, truths
+from quadftc_tools.study.league_flights import FLOWN, fly_log
 from quadftc_tools.study.league_logs import cut, read_healthy, read_labels
 from quadftc_tools.study.league_others import OTHERS_HEADINGS, PX4_HEADINGS, other_rows, px4_rows
 from quadftc_tools.study.numbers import write_number
@@ -226,40 +226,11 @@ def healthy_rows(who: str, watches: Mapping[str, Watch], each_group: bool) -> It
         yield [who, group, str(logs), f"{seconds:.0f} s", str(found), rate]
 
 
-def truth_cell(named: Sequence[Named], truth: Truth) -> str:
-    """How long after its onset a fault of a scenario is named rightly; else whether something is, then."""
-    right = [
-        each.onset - truth.start
-        for each in named
-        if each.component == truth.component
-        and each.element in ("", *truth.elements)
-        and truth.start - SEEN < each.onset < truth.stop
-    ]
-    if right:
-        return f"{max(min(right, key=abs), 0.0):.2f} s"
-    return "other" if any(abs(each.onset - truth.start) < SEEN for each in named) else NOTHING
-
-
-def truth_rows(
-    judges: Mapping[str, Judge], flown: Sequence[tuple[FlightLog, list[Truth]]]
-) -> Iterator[list[str]]:
-    """Who names which fault of the simulated flights."""
-    for log, faults in flown:
-        offline = judge_offline(log)
-        for truth in faults:
-            said = [
-                offline if judge is judge_offline else judge(around(log, truth.start))
-                for judge in judges.values()
-            ]
-            yield [truth.title, *(truth_cell(named, truth) for named in said)]
-
-
 def make(data: Path) -> dict[str, str]:
     """Run all, and return the tables."""
     labels = read_labels(data)
     groups = read_healthy(data, labels)
-    groups[SIMULATED] = [fly_log(name, "faults=[]")[0] for name in FLOWN_HEALTHY]
-    flown = [(log, list(truths(scenario))) for log, scenario in map(fly_log, FLOWN_FAULTY)]
+    groups[SIMULATED] = [fly_log(name) for name in FLOWN]
     judges: dict[str, Judge] = {"diagnose": judge_offline}
     for name in sorted(filter(has_detector, fault_observers.names())):
         judges[name] = judge_by(fault_observers.get(name))
@@ -281,7 +252,6 @@ def make(data: Path) -> dict[str, str]:
         "league-faults": markdown(["who", "logs", *CASES], of_faults),
         "league-others": markdown(OTHERS_HEADINGS, other_rows(labels)),
         "league-px4": markdown(PX4_HEADINGS, px4_rows(data)),
-        "league-scenarios": markdown(["fault", *judges], truth_rows(judges, flown)),
     }
 
 
