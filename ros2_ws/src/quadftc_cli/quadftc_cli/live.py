@@ -15,6 +15,7 @@ from quadftc_bags.interfaces import load_message_class
 from quadftc_flight.graph.plan import GraphError
 from quadftc_ros.executor import make_executor
 from quadftc_ros.qos import service_profile, topic_profile
+from quadftc_ros.reach import enclave_arguments
 from quadftc_ros.topics import TOPICS
 
 PATIENCE = 5.0  # s; for nodes to be found, and for an answer
@@ -34,7 +35,7 @@ class LiveGraph:
     def __init__(self, namespace: str = "") -> None:
         self.namespace = namespace.strip("/")
         self._context = Context()
-        self._context.init(args=[])
+        self._context.init(args=["--ros-args", *enclave_arguments("operator")])
         self._executor = make_executor("events", self._context)
         name = f"quadftc_{os.getpid()}"
         self.node = Node(name, context=self._context, use_global_arguments=False, enable_rosout=False)

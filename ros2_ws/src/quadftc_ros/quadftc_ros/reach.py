@@ -16,6 +16,7 @@ RANGE, PROFILE, MIDDLEWARE = (
     "RMW_IMPLEMENTATION",
 )
 LOOPBACK = Path(__file__).resolve().with_name("loopback.xml")
+ENCLAVE = "/quadftc"  # below it each node has its keys, by the policy in quadftc_bringup
 BY_PROFILE = "SYSTEM_DEFAULT"  # the range with which Fast DDS goes by its profile alone
 
 
@@ -46,6 +47,11 @@ def is_enforced(environment: MutableMapping[str, str] = os.environ) -> bool:
     """Whether nodes start with their keys only (SROS2)."""
     enabled = environment.get("ROS_SECURITY_ENABLE") == "true"
     return enabled and environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
+
+
+def enclave_arguments(name: str) -> list[str]:
+    """Return the ROS arguments by which a process finds its keys; none without SROS2."""
+    return ["--enclave", f"{ENCLAVE}/{name}"] if is_enforced() else []
 
 
 def reach(environment: MutableMapping[str, str] = os.environ) -> str:

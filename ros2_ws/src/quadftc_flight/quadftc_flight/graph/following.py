@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 
 from quadftc_flight.graph.plan import CONNECT_TIMEOUT, SLICE, STALL_TIMEOUT, GraphError, Progress, always
 from quadftc_ros.executor import Slice, make_executor
+from quadftc_ros.reach import enclave_arguments
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import PlantKind, crowded_topics
 
@@ -26,7 +27,8 @@ class Graph(abc.ABC):
     def __init__(self, executor: str) -> None:
         self.exit_code = 0  # the worst of the processes, once they were stopped
         self._context = Context()
-        self._context.init(args=[])  # what the launcher was called with is not meant for the nodes
+        # what the launcher was called with is not meant for the nodes
+        self._context.init(args=["--ros-args", *enclave_arguments("launcher")])
         self._executor = make_executor(executor, self._context)
         self._slice = Slice(self._executor)
         self._nodes: list[Any] = []  # of this process

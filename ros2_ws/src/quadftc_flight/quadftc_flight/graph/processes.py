@@ -23,6 +23,7 @@ from quadftc_ros.children import Children
 from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import WARN
 from quadftc_ros.qos import topic_profile
+from quadftc_ros.reach import enclave_arguments
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import Scheduling, SchedulingError, raise_priority, scheduled
 from quadftc_ros.topics import missing_connections
@@ -172,7 +173,7 @@ class ProcessGraph(Graph):
         arguments += self.plan.remap_arguments
         commands: dict[str, list[str]] = {}
         for name, row in self.plan.executables.items():
-            commands[name] = [str(executable_path(*row)), *arguments]
+            commands[name] = [str(executable_path(*row)), *arguments, *enclave_arguments(name)]
             for topic, other in self.plan.remapped.get(name, {}).items():
                 commands[name] += ["-r", f"{topic}:={other}"]
         return commands
