@@ -30,7 +30,7 @@ class Worker:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         try:
-            self._process.stdin.write(len(content).to_bytes(LENGTH) + content)
+            self._process.stdin.write(len(content).to_bytes(LENGTH, "big") + content)
             self._process.stdin.flush()
             return json.loads(self._process.stdout.readline())
         except (OSError, ValueError) as error:  # it has died
@@ -46,7 +46,7 @@ def main() -> None:
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no answer
     while length := sys.stdin.buffer.read(LENGTH):
-        answers.write(json.dumps(_answer(sys.stdin.buffer.read(int.from_bytes(length)))) + "\n")
+        answers.write(json.dumps(_answer(sys.stdin.buffer.read(int.from_bytes(length, "big")))) + "\n")
         answers.flush()
 
 
