@@ -9,6 +9,7 @@ DIR/summary.json
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import itertools
 import json
@@ -87,6 +88,7 @@ class CampaignRun:
             elif directory.exists() and any(directory.iterdir()):
                 raise CampaignError(f"{directory}: is not empty, and holds no campaign; {ANOTHER}")
             (directory / CHUNKS).mkdir(parents=True, exist_ok=True)
+            self._lock()
             path.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
             damaged = tuple(self._remove_damaged())
         missing = self._missing
@@ -96,6 +98,15 @@ class CampaignRun:
         counts = (sample_count(scenario.duration, scenario.rate) for scenario in scenarios)
         sizes = (len(self._chunks[place][0]) for place in missing)
         return Extent(len(self._chunks), len(missing), sum(map(operator.mul, sizes, counts)), damaged)
+
+    def _lock(self) -> None:
+        """Keep the directory to this process until it ends; a `CampaignError` says that another has it."""
+        self._held = os.open(self._directory, os.O_RDONLY)
+        try:
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            words = f"another process flies this campaign now; wait for it, or {ANOTHER}"
+            raise CampaignError(f"{self._directory}: {words}") from None
 
     def _remove_damaged(self) -> Iterator[str]:
         """Remove chunks that are no tables or hold other flights than they should; say which, and why."""

@@ -9,6 +9,7 @@ import importlib.metadata
 import importlib.util
 import logging
 import os
+import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
@@ -35,22 +36,36 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
     path = os.environ.get("PYTHONPATH")
     cores = max(1, len(os.sched_getaffinity(0)) // workers)  # for each worker: JAX compiles in threads
     with contextlib.ExitStack() as stack:
-        target = address or stack.enter_context(
-            LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
-                silence_logs=logging.ERROR,
-                env={THREADS: str(cores)} | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
+        with deaf_children():
+            target = address or stack.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
+                    silence_logs=logging.ERROR,
+                    env={THREADS: str(cores)} | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
+                )
             )
-        )
         try:
             client = stack.enter_context(Client(target, timeout=TIMEOUT, set_as_default=False))
             client.wait_for_workers(1, timeout=TIMEOUT)
         except (OSError, ValueError) as error:  # TimeoutError is an OSError
             raise CampaignError(f"scheduler {address or 'here'}: {_first_line(error)}") from None
         yield client
+
+
+@contextlib.contextmanager
+def deaf_children() -> Generator[None, None, None]:
+    """Keep Ctrl-C from threads and processes that start meanwhile: who started them ends them.
+
+    A terminal sends it to all processes, and one that still starts would end with a traceback.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def has_accelerator() -> bool:

@@ -64,7 +64,8 @@ def make_app(
         loop = asyncio.get_running_loop()
         loop.add_reader(channel, take)
         address = address_of(listener, token)
-        channel.send(address.encode())
+        with contextlib.suppress(OSError):  # the flight is over already, as `take` will find
+            channel.send(address.encode())
         with browser_at(address, OUTPUTS) if opens else contextlib.nullcontext():
             yield
         commander.close()
