@@ -21,7 +21,8 @@ from quadftc_bags.bag import BagError
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.readers import LogChoice, read_log
-from quadftc_tools.attack.logs import MAPPING, TEXTS, WRITERS, blackbox, hover, spoiled, spoils
+from quadftc_tools.attack.flight_table import TEXTS, hover, spoiled, spoils
+from quadftc_tools.attack.logs import MAPPING, WRITERS, blackbox
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers that overflow on the way
 EXAMPLES = settings().max_examples // 2  # 20; with --examples 2000 a thousand

@@ -19,6 +19,9 @@ MOST_FILES = 1 << 16  # connections and files at a time, where the system allows
 class ImpatientProtocol(AutoHTTPProtocol):  # type: ignore[valid-type, misc]
     """HTTP as uvicorn speaks it, but for clients that send no request, or go on behind an answer."""
 
+    cycle: Any  # the request, once its headers are there
+    loop: asyncio.AbstractEventLoop
+
     def connection_made(self, transport: asyncio.Transport) -> None:
         """Begin to wait for a request."""
         super().connection_made(transport)
@@ -30,8 +33,7 @@ class ImpatientProtocol(AutoHTTPProtocol):  # type: ignore[valid-type, misc]
     def _end_if_silent(self, transport: asyncio.Transport) -> None:
         if transport.is_closing() or transport.get_protocol() is not self:  # a websocket by now
             return
-        cycle: Any = self.cycle
-        if cycle is None or cycle.response_complete:
+        if self.cycle is None or self.cycle.response_complete:
             transport.abort()
         else:
             self._look_again(transport)

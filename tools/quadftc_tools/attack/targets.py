@@ -26,8 +26,8 @@ from quadftc_ros.executor import STOPPING, run_node
 from quadftc_sim.assembly import sample_count
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
-from quadftc_tools.soak.fuzz_case import Case, Program
-from quadftc_tools.soak.fuzz_inputs import (
+from quadftc_tools.attack.case import Case, Program
+from quadftc_tools.attack.inputs import (
     Draw,
     bad_argument,
     bad_bytes,
@@ -36,7 +36,7 @@ from quadftc_tools.soak.fuzz_inputs import (
     bad_yaml,
     pick,
 )
-from quadftc_tools.soak.fuzz_seeds import CAMPAIGN, FAULTS, GAINS, NODES, SCENARIO, Seeds, with_vehicle
+from quadftc_tools.attack.seeds import CAMPAIGN, FAULTS, GAINS, NODES, SCENARIO, Seeds, with_vehicle
 
 DIVERGED = 1e3  # rad/s; a vehicle that turns faster
 FLOWN = 25  # samples of a scenario that is flown
@@ -65,12 +65,11 @@ Input = tuple[dict[str, bytes], list[str]]  # files, arguments
 
 @dataclass(frozen=True)
 class Target:
-    """Something that takes input: what draws files and arguments, what gets them, its share of the time."""
+    """Something that takes input: what draws files and arguments, and what gets them."""
 
     name: str
     draw: Callable[[Draw, Seeds], Input]
     program: Program
-    share: float = 1.0
 
     def cases(self, seeds: Seeds) -> st.SearchStrategy[Case]:
         """Return the strategy that draws inputs."""
@@ -211,14 +210,6 @@ def _sqlite(draw: Draw, seeds: Seeds) -> Input:
     return files, ["replay", pick(draw, ("bag", database)), "--out", "out"]
 
 
-def _ulog(draw: Draw, seeds: Seeds) -> Input:
-    return {"log.ulg": bad_bytes(draw, seeds.ulog)}, ["replay", "log.ulg", "--out", "out"]
-
-
-def _usdlog(draw: Draw, seeds: Seeds) -> Input:
-    return {"log00": bad_bytes(draw, seeds.usdlog)}, ["replay", "log00", "--out", "out"]
-
-
 def _faults(draw: Draw, seeds: Seeds) -> Input:
     files = {"log.ulg": seeds.ulog, "f.yaml": bad_yaml(draw, FAULTS)}
     spec = bad_argument(draw, pick(draw, SPECS))
@@ -235,19 +226,17 @@ def _arguments(draw: Draw, seeds: Seeds) -> Input:
 TARGETS = {
     target.name: target
     for target in (
-        Target("scenario", _scenario, _quadftc, 2.0),
+        Target("scenario", _scenario, _quadftc),
         Target("flight", _flight, _program(_fly)),
-        Target("campaign", _campaign, _program(_open_campaign), 2.0),
+        Target("campaign", _campaign, _program(_open_campaign)),
         Target("gains", _gains, _quadftc),
         Target("set", _settings, _quadftc),
         Target("vehicle", _vehicle, _quadftc),
         Target("vehicle flown", _flown_vehicle, _program(_fly)),
         Target("ROS parameters", _parameters, _start_node),
-        Target("bag", _bag, _quadftc, 3.0),
+        Target("bag", _bag, _quadftc),
         Target("SQLite bag", _sqlite, _quadftc),
-        Target("PX4 log", _ulog, _quadftc),
-        Target("Crazyflie log", _usdlog, _quadftc),
-        Target("faults overlaid", _faults, _quadftc, 0.5),
-        Target("arguments", _arguments, _quadftc, 1.5),
+        Target("faults overlaid", _faults, _quadftc),
+        Target("arguments", _arguments, _quadftc),
     )
 }

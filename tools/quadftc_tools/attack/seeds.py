@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import yaml
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -19,7 +16,9 @@ from rosbags.typesys import Stores, get_typestore
 from quadftc_flight.runs import RunOptions, run, run_name
 from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, scenario_names
 from quadftc_model import vehicle as vehicles
-from quadftc_tools.soak.fuzz_inputs import plain_dump
+from quadftc_tools.attack.flight_table import hover
+from quadftc_tools.attack.inputs import plain_dump
+from quadftc_tools.attack.logs import ulog
 
 SCENARIO = b"""\
 name: tiny
@@ -87,11 +86,6 @@ faults:
   - {kind: bias, channel: attitude, axes: [roll, yaw], value: 3 deg, start: 0.1 s, stop: 0.2 s}
   - {kind: spikes, channel: gyro, axis: x, start: 0.1 s, duration: 0.1 s}
 """
-ULOG_FORMATS = {
-    "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;uint8_t quat_reset_counter;",
-    "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;int32_t accelerometer_timestamp_relative;"
-    "float[3] accelerometer_m_s2;",
-}
 NODES = ("plant", "fault_injector", "fault_observer", "disturbance_observer", "controller", "reference")
 SCHEME = "proposed"
 
@@ -101,12 +95,6 @@ class Seeds:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-
-    def prepare(self) -> None:
-        """Make everything."""
-        for name, each in vars(type(self)).items():
-            if isinstance(each, cached_property):
-                getattr(self, name)
 
     @cached_property
     def scenarios(self) -> list[bytes]:
@@ -177,32 +165,8 @@ class Seeds:
 
     @cached_property
     def ulog(self) -> bytes:
-        """A PX4 log of 0.4 s."""
-        parts = [b"ULog\x01\x12\x35\x01", struct.pack("<Q", 3_000_000), _ulog("B", bytes(40))]
-        parts += [_ulog("F", f"{name}:{text}".encode()) for name, text in ULOG_FORMATS.items()]
-        parts += [_ulog("A", struct.pack("<BH", 0, k) + name.encode()) for k, name in enumerate(ULOG_FORMATS)]
-        generator = np.random.default_rng(1)
-        for k in range(80):
-            stamp = 3_000_000 + 5000 * k
-            if k % 4 == 0:
-                body = struct.pack("<HQQ4fB", 0, stamp, stamp, 1.0, 0.0, 0.0, 0.0, k // 60)
-                parts.append(_ulog("D", body))
-            rate = generator.normal(0.0, 0.01, 3).tolist()
-            parts.append(_ulog("D", struct.pack("<HQ3fi3f", 1, stamp, *rate, 0, 0.0, 0.0, -9.81)))
-        return b"".join(parts)
-
-    @cached_property
-    def usdlog(self) -> bytes:
-        """A log of a Crazyflie's uSD card, of 0.4 s."""
-        names = [f"gyro.{axis}(f)" for axis in "xyz"] + [f"stateEstimate.q{axis}(f)" for axis in "xyzw"]
-        parts = [struct.pack("<BHHH", 0xBC, 2, 1, 65535), b"fixedFrequency\0", struct.pack("<H", len(names))]
-        parts += [f"{name}\0".encode() for name in names]
-        generator = np.random.default_rng(1)
-        for k in range(100):
-            rate = generator.normal(0.0, 0.5, 3).tolist()
-            parts.append(struct.pack("<HQ7f", 65535, 3_000_000 + 4000 * k, *rate, 0.0, 0.0, 0.0, 1.0))
-        data = b"".join(parts)
-        return data + struct.pack("<I", zlib.crc32(data))
+        """A PX4 log."""
+        return ulog(hover())
 
     def _file(self, name: str, data: bytes) -> Path:
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -214,7 +178,3 @@ class Seeds:
 def with_vehicle(name: str) -> bytes:
     """The short scenario with another vehicle."""
     return plain_dump({**yaml.safe_load(SCENARIO), "vehicle": name})
-
-
-def _ulog(kind: str, body: bytes) -> bytes:
-    return struct.pack("<HB", len(body), ord(kind)) + body

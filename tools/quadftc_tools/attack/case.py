@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import io
-import json
 import os
 import resource
 import shutil
@@ -23,7 +21,6 @@ ALLOWED = (GOOD, CHECK_FAILED, BAD_INPUT, NOT_ENOUGH, INTERRUPTED)  # exit codes
 MAX_LINES, MAX_LINE = 12, 4000  # of what is said about a bad input; characters
 MAX_GROWTH = 700 * 1024  # KiB by which the memory of the process may grow with one input
 INSIDE = Path("outer", "inner", "work")  # working folder, within the sandbox: what is written outside shows
-NOW = "now.json"  # file with the input that is being tried
 
 Program = Callable[[Sequence[str]], int]
 
@@ -38,18 +35,6 @@ class Case:
     target: str
     files: dict[str, bytes] = field(default_factory=dict, repr=False)  # too long to be shown
     arguments: list[str] = field(default_factory=list)
-
-    def dump(self) -> str:
-        """Return the case as JSON."""
-        files = {name: base64.b64encode(data).decode() for name, data in self.files.items()}
-        return json.dumps({"target": self.target, "files": files, "arguments": self.arguments}, indent=1)
-
-    @staticmethod
-    def load(text: str) -> Case:
-        """Read a case back."""
-        raw: dict[str, Any] = json.loads(text)
-        files = {name: base64.b64decode(data) for name, data in raw["files"].items()}
-        return Case(raw["target"], files, raw["arguments"])
 
 
 @dataclass(frozen=True)
