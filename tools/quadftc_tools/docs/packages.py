@@ -30,6 +30,7 @@ TOPIC = {
     "report": "everything that draws",
     "ros": "node, topics, QoS, recorder",
     "sim": "plant, sensors, faults",
+    "sitl": "a real autopilot's firmware in the loop",
     "theory": "where theorems hold",
 }
 MARKS = re.compile(r"(<!-- packages: begin[^\n]*-->\n).*?(<!-- packages: end -->)", re.S)

@@ -1,0 +1,131 @@
+# pyright: basic
+"""``quadftc sitl``."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from typer import Argument, Option
+
+from quadftc_cli.commands import BAD_INPUT, INTERNAL, options
+from quadftc_cli.screen import Bars, console, plain_table, say
+
+SAID = 12  # words of the autopilot on the screen
+
+
+def sitl(
+    scenario: Annotated[
+        str,
+        Argument(
+            help="Scenario of free flight: a file, or a name.", autocompletion=options.complete_scenario
+        ),
+    ],
+    autopilot: Annotated[Literal["ardupilot"], Option(help="Whose firmware it is.")],
+    binary: Annotated[Path, Option(metavar="FILE", help="Its simulation (SITL), such as arducopter.")],
+    parameters: Annotated[
+        list[Path],
+        Option(metavar="FILE", help="Parameters of the firmware, NAME VALUE a line; may be repeated."),
+    ] = [],  # noqa: B006
+    scheme: Annotated[str, Option(help="Whose observer runs beside; default: the scenario's first.")] = "",
+    set_: options.SetOption = [],  # noqa: B006
+    seed: Annotated[str, Option(help="Seed of the random numbers.")] = "",
+    catalogue: Annotated[
+        bool, Option("--catalogue", help="Fly all of the scenario's catalogue, not the scenario.")
+    ] = False,
+    only: Annotated[
+        str, Option(help="Of the catalogue, the flights of these names, such as 'gyro_*'.")
+    ] = "*",
+    seeds: Annotated[int, Option(min=1, help="Flights of each fault of the catalogue.")] = 1,
+    jobs: Annotated[int, Option(min=1, help="Flights side by side.")] = 1,
+    resume: Annotated[bool, Option("--resume", help="Keep the flights that were flown before.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace flights that were flown before.")] = False,
+    engine: options.EngineOption = "c",
+    out: Annotated[Path, Option(help="Directory of the flights, each in its own.")] = Path("results"),
+    junit: options.JunitOption = None,
+) -> None:
+    """Let a real autopilot's firmware fly a scenario with faults; say what it noticed and what came of it."""
+    from quadftc_flight.scenario import changed_document, find_scenario
+    from quadftc_sitl import catalogue as flights
+    from quadftc_sitl.plan import plan_of, plans_of_catalogue, read_parameters
+
+    if not binary.is_file():
+        raise ValueError(f"{binary}: no such file; expected the firmware's simulation")
+    overrides = [*set_, *([f"seed={seed}"] if seed else [])]
+    document = changed_document(find_scenario(scenario), overrides)
+    given = {name: value for file in parameters for name, value in read_parameters(file).items()}
+    if catalogue:
+        first = int(document.data.get("seed", 0))
+        every = plans_of_catalogue(document, scheme, range(first, first + seeds))
+        plans = [plan for plan in every if fnmatch.fnmatch(plan.name.rpartition("-")[0], only)]
+        if not plans:
+            raise ValueError(f"--only {only}: no such flight in the catalogue")
+    else:
+        plans = [plan_of(document, scheme)]
+    todo = [flights.job_of(plan, binary.resolve(), given, out.resolve(), engine) for plan in plans]
+    if force and not resume:
+        for job in todo:
+            flights.clear(job.out)
+    screen = console()
+    with Bars(screen) as bars:
+        update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
+        found = flights.fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
+    raise typer.Exit(_show(found, out, screen, junit, catalogue))
+
+
+def _show(
+    summaries: Sequence[Mapping[str, Any]], out: Path, screen: Any, junit: Path | None, catalogue: bool
+) -> int:
+    """Print what became of flights, write the table of a catalogue, and return the exit code."""
+    from quadftc_cli.judging import judge
+    from quadftc_flight.junit import write_file
+    from quadftc_sitl.catalogue import COLUMNS, markdown, table_rows
+
+    flown = [each for each in summaries if "error" not in each]
+    failed = [each for each in summaries if "error" in each]
+    if catalogue and flown:
+        table = plain_table(COLUMNS[:1], COLUMNS[1:])
+        for row in table_rows(flown):
+            table.add_row(*row)
+        screen.print(table)
+        say(f"table: {write_file(out / 'catalogue.md', markdown(flown))}")
+    elif flown:
+        _show_flight(flown[0])
+    code = 0
+    if flown:
+        say(f"flights: {out}")
+        code = judge({each["name"]: each["checks"] for each in flown}, screen, junit, "sitl")
+    for each in flown:
+        if problem := each["recorded"]["problem"]:
+            say(f"error: {each['name']}: {problem}", stderr=True)
+            code = INTERNAL
+    say(*(f"error: {each['name']}: {each['error']}" for each in failed), stderr=True)
+    return BAD_INPUT if failed else code
+
+
+def _show_flight(flight: Mapping[str, Any]) -> None:
+    """Print the truth of one flight beside what was said of it."""
+    for fault in flight["faults"]:
+        said, seen, judged = fault["autopilot"], fault["observer"], fault["diagnose"]
+        own = "not in what it sees" if seen["named"] is None else _told(seen, ", ".join(seen["as"]))
+        say(
+            f"{fault['component']} {', '.join(fault['elements'])} from {fault['start']:g} s: {fault['spec']}",
+            f"  autopilot: {_told(said, said['words'])}",
+            f"  observer:  {own}",
+            f"  diagnose:  {_told(judged, ', '.join(judged['as']))}",
+        )
+    autopilot = flight["autopilot"]
+    say(f"{flight['name']}: {'survived' if flight['survived'] else 'LOST'}, {flight['ended']}")
+    said = [event for event in flight["autopilot_said"] if event["serious"] and event["time"] >= 0.0]
+    say(*(f"  {event['time']:8.2f} s  {event['words']}" for event in said[:SAID]))
+    say(f"diagnose: {flight['diagnose'].get('sentence') or flight['diagnose']['problem']}")
+    say(f"autopilot: ArduPilot {autopilot['version']}, {flight['real_time_factor']:.1f} x real time")
+    if autopilot["open_sockets"]:
+        say(f"open to others than this machine: {', '.join(autopilot['open_sockets'])}")
+
+
+def _told(said: Mapping[str, Any], words: str) -> str:
+    return f"{words} after {said['delay_s']:.2f} s" if said["delay_s"] is not None else "-"

@@ -1,0 +1,1 @@
+"""Real autopilots in the loop: their firmware flies the plant, with faults."""

@@ -1,0 +1,138 @@
+"""Many flights of a firmware side by side, each in a process and folder of its own, and one table of them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import statistics
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from quadftc_flight.run_files import RunError
+from quadftc_sitl.firmware import SitlError, die_with_parent
+from quadftc_sitl.plan import SitlPlan, plan_of_text
+from quadftc_sitl.sitl_flight import SUMMARY, fly_sitl
+
+JOB = "job.yaml"  # what a folder was flown with
+COLUMNS = ("fault", "flights", "autopilot", "observer", "diagnose", "survived")
+
+
+class Job(NamedTuple):
+    """A flight that is to be flown."""
+
+    name: str
+    text: str  # of its scenario, with the key `autopilot`
+    scheme: str
+    binary: Path
+    parameters: Mapping[str, float]
+    out: Path  # its folder
+    engine: str
+
+    @property
+    def inputs(self) -> str:
+        """All that decides the flight, but for the binary."""
+        return yaml.safe_dump([self.text, self.scheme, dict(self.parameters), self.engine])
+
+
+def job_of(plan: SitlPlan, binary: Path, parameters: Mapping[str, float], out: Path, engine: str) -> Job:
+    """Return the job of a plan; the flights of ``out`` have a folder each."""
+    text = yaml.safe_dump(plan.raw, sort_keys=False, width=120)
+    return Job(plan.name, text, plan.scheme.name, binary, parameters, out / plan.name, engine)
+
+
+def fly_jobs(
+    jobs: Sequence[Job], workers: int, resume: bool, follow: Callable[[int], object]
+) -> list[dict[str, Any]]:
+    """Fly jobs, so many side by side; return their summaries in order.
+
+    With ``resume`` those that were flown are kept. A flight that could not be flown has a summary with
+    ``error``, and none is kept of it. ``follow(done)`` is called after each.
+    """
+    found = {number: stored for number, job in enumerate(jobs) if (stored := _stored(job, resume))}
+    follow(len(found))
+    left = [number for number in range(len(jobs)) if number not in found]
+    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=die_with_parent) as pool:
+        running = {pool.submit(fly_job, jobs[number]): number for number in left}
+        try:
+            for future in as_completed(running):
+                found[running[future]] = future.result()
+                follow(len(found))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [found[number] for number in range(len(jobs))]
+
+
+def fly_job(job: Job) -> dict[str, Any]:
+    """Fly one job in this process; return its summary."""
+    plan = plan_of_text(job.text, job.scheme, job.name)
+    try:
+        result = fly_sitl(plan, job.binary, job.out, job.parameters, engine=job.engine)
+    except SitlError as error:
+        return {"name": job.name, "error": str(error)}
+    (job.out / JOB).write_text(job.inputs, encoding="utf-8")
+    return result
+
+
+def _stored(job: Job, resume: bool) -> dict[str, Any] | None:
+    """Return the summary of a flight that was flown; clear what is left of one that was not."""
+    if not job.out.exists():
+        return None
+    if not resume:
+        raise RunError(f"{job.out}: exists; choose another --out, --resume, or --force to replace it")
+    try:
+        inputs = (job.out / JOB).read_text(encoding="utf-8")
+        summary = json.loads((job.out / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        clear(job.out)
+        return None
+    if inputs != job.inputs:
+        raise RunError(f"{job.out}: was flown with other inputs; choose another --out")
+    return summary
+
+
+def clear(folder: Path) -> None:
+    """Remove the folder of a flight; anything else is a RunError."""
+    if not folder.exists():
+        return
+    if not (folder / "parameters.parm").is_file():
+        raise RunError(f"{folder}: is no flight of an autopilot; not replaced")
+    shutil.rmtree(folder)
+
+
+def table_rows(summaries: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+    """Return a row of `COLUMNS` for each fault of a catalogue: flights are named after it, and their seed."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for each in summaries:
+        if "error" not in each:
+            groups.setdefault(each["name"].rpartition("-")[0] or each["name"], []).append(each)
+    for name, flights in groups.items():
+        survived = sum(flight["survived"] for flight in flights)
+        cells = [_share(flights, source) for source in ("autopilot", "observer", "diagnose")]
+        yield name, str(len(flights)), *cells, f"{survived} of {len(flights)}"
+
+
+def _share(flights: Sequence[Mapping[str, Any]], source: str) -> str:
+    """Say in how many flights a source told of the fault, and when; of healthy ones, in how many of any."""
+    word = "noticed" if source == "autopilot" else "named"
+    faults = [fault[source] for flight in flights for fault in flight["faults"]]
+    if not faults:
+        false = sum(flight["metrics"][f"{source}_false"] > 0 for flight in flights)
+        return f"{false} false"
+    told = [each for each in faults if each[word]]
+    if all(each[word] is None for each in faults):
+        return "-"
+    delays = [each["delay_s"] for each in told]
+    after = f", {statistics.median(delays):.2g} s" if delays else ""
+    return f"{len(told)} of {len(faults)}{after}"
+
+
+def markdown(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """Write the table of a catalogue for a document."""
+    rows = [COLUMNS, ("---",) * len(COLUMNS), *table_rows(summaries)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)

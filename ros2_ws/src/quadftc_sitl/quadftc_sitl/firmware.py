@@ -1,0 +1,175 @@
+"""The process of an autopilot's firmware: started in a folder of its own, on loopback, and ended with us.
+
+It never outlives us: the kernel kills it when our process ends, however that ends (``PR_SET_PDEATHSIG``). It
+leads a process group of its own, so that whatever it starts is ended with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+import signal
+import socket
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import IO
+
+LOOPBACK = "127.0.0.1"
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+OUTPUT, PARAMETERS = "output.txt", "parameters.parm"  # files in its folder
+TAIL = 12  # lines of its output that an error shows
+PATIENCE = 3.0  # s; from being asked to end until it is killed
+LISTENS = "0A"  # state of a TCP socket in /proc/net/tcp
+SERIAL_PORTS = (1, 2)  # of ArduPilot, besides the first; GPS come next, and those behind are off
+
+
+class SitlError(ValueError):
+    """A flight that cannot be flown with this binary; the message says why."""
+
+
+def die_with_parent() -> None:
+    """Have the kernel kill this process when its parent ends; at once, if that has happened."""
+    parent = os.getppid()
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+class Firmware:
+    """A running firmware; a context manager that ends it."""
+
+    def __init__(self, arguments: Sequence[str], folder: Path) -> None:
+        """Start it; a `SitlError` says if it cannot be started."""
+        self.arguments, self.folder = list(arguments), folder
+        prctl = ctypes.CDLL(None, use_errno=True).prctl  # found before the fork
+        parent = os.getpid()
+
+        def die_with_us() -> None:
+            prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+            if os.getppid() != parent:  # we died in between
+                os._exit(1)
+
+        self._output: IO[bytes] = (folder / OUTPUT).open("wb")
+        try:
+            self._process = subprocess.Popen(
+                self.arguments,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=self._output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                preexec_fn=die_with_us,  # noqa: PLW1509  no other thread of ours holds a lock
+            )
+        except OSError as error:
+            self._output.close()
+            raise SitlError(f"{arguments[0]}: does not start: {error.strerror}") from None
+
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+        return self._process.pid
+
+    def check_alive(self) -> None:
+        """Raise a `SitlError` with its last words if it has ended."""
+        code = self._process.poll()
+        if code is not None:
+            how = f"killed by signal {-code}" if code < 0 else f"with code {code}"
+            raise SitlError(f"{self.arguments[0]}: ended early, {how}{self.last_words()}")
+
+    def last_words(self) -> str:
+        """Return the end of what it has printed, to be put behind an error."""
+        with contextlib.suppress(OSError):
+            lines = (self.folder / OUTPUT).read_bytes()[-4096:].decode("utf-8", "replace").splitlines()
+            if words := [line.strip() for line in lines if line.strip()][-TAIL:]:
+                return "; it says:\n" + "\n".join(words)
+        return ""
+
+    def end(self, serve: Callable[[float], object] = lambda _patience: None) -> None:
+        """Ask it to end, and kill it if it does not; ``serve(patience)`` is called while it ends."""
+        if self._process.poll() is None:
+            self._signal(signal.SIGTERM)
+            for _ in range(int(PATIENCE / 0.1)):
+                serve(0.05)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(0.05)
+                    break
+        self._signal(signal.SIGKILL)  # what is left of its group, too
+        self._process.wait()
+        self._output.close()
+
+    def __enter__(self) -> Firmware:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, number)
+
+
+def ardupilot_arguments(
+    binary: Path, physics_port: int, mavlink_port: int, speedup: float = 1000.0
+) -> list[str]:
+    """Return how ArduPilot's simulation is started with our physics, its first serial port ours.
+
+    Its other serial ports would listen at every address; they are no MAVLink ports by the parameters, and
+    send to a port of ours that nobody reads if the firmware opens them nevertheless.
+    """
+    spare = f"udpclient:{LOOPBACK}:{free_port()}"
+    serials = [(f"--serial{number}", spare) for number in SERIAL_PORTS]
+    return [
+        *(str(binary), "--model", f"JSON:{LOOPBACK}", "--speedup", f"{speedup:g}"),
+        *("--sim-address", LOOPBACK, "--sim-port-out", str(physics_port), "--sim-port-in", str(free_port())),
+        *("--rc-in-port", str(free_port()), "--base-port", str(free_port(socket.SOCK_STREAM))),
+        *("--serial0", f"udpclient:{LOOPBACK}:{mavlink_port}"),
+        *(word for pair in serials for word in pair),
+        *("--defaults", PARAMETERS),
+    ]
+
+
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    """Return a port of this machine that nobody uses now."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
+def parameter_file(parameters: Mapping[str, float]) -> str:
+    """Write parameters as ArduPilot reads them."""
+    return "".join(f"{name} {value:.10g}\n" for name, value in parameters.items())
+
+
+def open_sockets(pid: int, proc: Path = Path("/proc")) -> list[str]:
+    """Return the sockets of a process that others than this machine can reach, such as 'udp 0.0.0.0:5501'.
+
+    TCP sockets that listen, and UDP sockets that are bound to more than loopback and have no peer.
+    """
+    inodes: set[str] = set()
+    with contextlib.suppress(OSError):
+        for link in (proc / str(pid) / "fd").iterdir():
+            with contextlib.suppress(OSError):
+                if found := re.fullmatch(r"socket:\[(\d+)\]", str(link.readlink())):
+                    inodes.add(found[1])
+    opened: list[str] = []
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        with contextlib.suppress(OSError):
+            for line in (proc / str(pid) / "net" / table).read_text().splitlines()[1:]:
+                words = line.split()
+                local, peer, state, inode = words[1], words[2], words[3], words[9]
+                address, port = _address(local)
+                is_open = state == LISTENS if table.startswith("tcp") else peer.endswith(":0000")
+                if inode in inodes and is_open and not address.startswith(("127.", "::1")):
+                    opened.append(f"{table} {address}:{port}")
+    return sorted(opened)
+
+
+def _address(text: str) -> tuple[str, int]:
+    """Return address and port of an entry of /proc/net, words of 32 bits in the machine's byte order."""
+    digits, _, port = text.partition(":")
+    raw = b"".join(bytes.fromhex(digits[at : at + 8])[::-1] for at in range(0, len(digits), 8))
+    family = socket.AF_INET if len(raw) == 4 else socket.AF_INET6
+    return socket.inet_ntop(family, raw), int(port, 16)

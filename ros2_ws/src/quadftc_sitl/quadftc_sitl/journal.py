@@ -1,0 +1,146 @@
+# pyright: basic
+"""What an autopilot says in flight: its texts, modes, health and estimator, with the time of each."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+SERIOUS = dialect.MAV_SEVERITY_WARNING  # severities up to here count as noticed
+LANE = "lane switch"  # in texts that say that another estimator is used
+HEALTH = {  # bit of SYS_STATUS -> what is healthy
+    dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO: "gyro",
+    dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL: "accelerometer",
+    dialect.MAV_SYS_STATUS_SENSOR_3D_MAG: "magnetometer",
+    dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE: "barometer",
+    dialect.MAV_SYS_STATUS_SENSOR_GPS: "gps",
+    dialect.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS: "motors",
+    dialect.MAV_SYS_STATUS_AHRS: "estimator",
+}
+GOOD_ESTIMATE = (
+    dialect.EKF_ATTITUDE | dialect.EKF_VELOCITY_HORIZ | dialect.EKF_VELOCITY_VERT | dialect.EKF_POS_HORIZ_ABS
+)
+GLITCH = 1 << 15  # flag EKF_GPS_GLITCHING of EKF_STATUS_REPORT
+ESTIMATES = ("estimate incomplete", "estimate complete", "GPS glitch, estimate incomplete", "GPS glitch")
+MODES = {
+    number: entry.name.removeprefix("COPTER_MODE_")
+    for number, entry in dialect.enums.get("COPTER_MODE", {}).items()
+}
+
+
+class Event(NamedTuple):
+    """Something that the autopilot said, in its words where it has some."""
+
+    time: float  # of its clock, which is that of the physics [s]
+    kind: str  # text, lane, mode, health, estimator, disarmed
+    words: str
+    serious: bool  # an operator would be alarmed
+
+
+class Journal:
+    """Listens to an autopilot's messages; ``now`` is the time of the physics [s]."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.events: list[Event] = []
+        self.kind: int | None = None  # of the vehicle, MAV_TYPE; None: no heartbeat yet
+        self.autopilot = 0  # MAV_AUTOPILOT
+        self.source = (1, 1)  # its system and component
+        self.mode = -1
+        self.asked_mode = -1  # that we have asked for last
+        self.armed = False
+        self.may_disarm = True  # we have asked it to come down
+        self.can_arm = False
+        self.position = (math.nan,) * 3  # north, east, down from its origin, as it believes [m]
+        self.version = ""
+        self.boot_offset = 0.0  # its clock less ours [s]
+        self.parameters: dict[str, float] = {}
+        self.acknowledged: dict[int, int] = {}  # command -> MAV_RESULT
+        self.wanted_item: int | None = None  # of the mission, that it asks for
+        self.mission_result: int | None = None
+        self._health: int | None = None
+        self._estimator = 0
+        self._chunks: dict[tuple[int, int], str] = {}  # parts of long texts
+
+    def hear(self, message: Any) -> None:
+        """Note a message."""
+        handler = getattr(self, f"_on_{message.get_type().lower()}", None)
+        if handler is not None:
+            handler(message)
+
+    def refusals(self, since: float) -> list[str]:
+        """Return why it does not arm, in its words, as said from a time [s] on."""
+        words = [event.words for event in self.events if event.time >= since and event.kind == "text"]
+        return list(dict.fromkeys(text for text in words if text.startswith(("PreArm:", "Arm:"))))
+
+    def _note(self, kind: str, words: str, serious: bool) -> None:
+        self.events.append(Event(round(self.now, 4), kind, words, serious))
+
+    def _on_heartbeat(self, message: Any) -> None:
+        if message.type == dialect.MAV_TYPE_GCS or message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
+            return
+        self.source = (message.get_srcSystem(), message.get_srcComponent())
+        self.kind, self.autopilot = message.type, message.autopilot
+        armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self.armed and not armed:
+            self._note("disarmed", "disarmed", not self.may_disarm)
+        self.armed = armed
+        if message.custom_mode != self.mode:
+            self.mode = message.custom_mode
+            is_ours = self.mode == self.asked_mode or self.asked_mode < 0
+            self._note("mode", f"mode {MODES.get(self.mode, self.mode)}", not is_ours)
+
+    def _on_statustext(self, message: Any) -> None:
+        words = message.text.rstrip("\0")
+        if message.id:  # the text is longer than a message
+            key = message.get_srcComponent(), message.id
+            words = self._chunks.pop(key, "") + words
+            if len(message.text) == 50 and "\0" not in message.text:
+                self._chunks[key] = words
+                return
+        serious = message.severity <= SERIOUS and not words.startswith(("PreArm:", "Arm:"))
+        self._note("lane" if LANE in words else "text", words, serious)
+
+    def _on_sys_status(self, message: Any) -> None:
+        present = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled
+        health = message.onboard_control_sensors_health
+        self.can_arm = bool(health & dialect.MAV_SYS_STATUS_PREARM_CHECK)
+        before, self._health = self._health, health
+        for bit, name in HEALTH.items():
+            if before is not None and present & bit and (before ^ health) & bit:
+                good = bool(health & bit)
+                self._note("health", f"{name} {'healthy' if good else 'unhealthy'}", not good)
+
+    def _on_ekf_status_report(self, message: Any) -> None:
+        good = message.flags & GOOD_ESTIMATE == GOOD_ESTIMATE
+        state = good + 2 * bool(message.flags & GLITCH)
+        if state != self._estimator:
+            self._note("estimator", ESTIMATES[state], state != 1)
+            self._estimator = state
+
+    def _on_local_position_ned(self, message: Any) -> None:
+        self.position = message.x, message.y, message.z
+        self.boot_offset = 1e-3 * message.time_boot_ms - self.now
+
+    def _on_autopilot_version(self, message: Any) -> None:
+        number = message.flight_sw_version
+        names = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: "official"}
+        parts = number >> 24, number >> 16 & 255, number >> 8 & 255
+        commit = bytes(message.flight_custom_version).rstrip(b"\0").decode("ascii", "replace")
+        self.version = f"{'.'.join(map(str, parts))}-{names.get(number & 255, number & 255)} {commit}".strip()
+
+    def _on_param_value(self, message: Any) -> None:
+        self.parameters[message.param_id.rstrip("\0")] = message.param_value
+
+    def _on_command_ack(self, message: Any) -> None:
+        self.acknowledged[message.command] = message.result
+
+    def _on_mission_request(self, message: Any) -> None:
+        self.wanted_item = message.seq
+
+    _on_mission_request_int = _on_mission_request
+
+    def _on_mission_ack(self, message: Any) -> None:
+        self.mission_result = message.type

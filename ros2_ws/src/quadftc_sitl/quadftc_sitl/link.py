@@ -1,0 +1,101 @@
+# pyright: basic
+"""MAVLink to an autopilot over a UDP socket on loopback, without waiting."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from quadftc_sitl.firmware import LOOPBACK
+
+GROUND, COMPONENT = 255, 190  # MAVLink numbers of a ground station
+PACKET = 65536  # bytes
+MULTIROTORS = {
+    dialect.MAV_TYPE_QUADROTOR: 4,
+    dialect.MAV_TYPE_HEXAROTOR: 6,
+    dialect.MAV_TYPE_OCTOROTOR: 8,
+}  # type of a vehicle -> rotors
+
+
+class MavlinkLink:
+    """The autopilot's first serial port. It speaks first; who else sends to the port is not heard."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((LOOPBACK, 0))
+        self._socket.setblocking(False)
+        self._peer: Any = None
+        self._mavlink = dialect.MAVLink(self, srcSystem=GROUND, srcComponent=COMPONENT)
+        self._mavlink.robust_parsing = True
+        self.target = (1, 1)  # system and component of the autopilot
+        self.strangers = 0  # packets from elsewhere
+
+    @property
+    def port(self) -> int:
+        """Its UDP port."""
+        return int(self._socket.getsockname()[1])
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; what the autopilot has not made room for is lost, as on any link."""
+        if self._peer is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._peer)
+
+    def receive(self) -> list[Any]:
+        """Return the messages that have come."""
+        found: list[Any] = []
+        with contextlib.suppress(OSError):  # no more
+            while True:
+                data, sender = self._socket.recvfrom(PACKET)
+                if self._peer is None:
+                    self._peer = sender
+                if sender != self._peer:
+                    self.strangers += 1
+                    continue
+                parsed: Any = self._mavlink.parse_buffer(data) or []
+                found += [each for each in parsed if each.get_type() != "BAD_DATA"]
+        return found
+
+    def heartbeat(self) -> None:
+        """Tell that there is a ground station."""
+        self._mavlink.heartbeat_send(dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+
+    def command(self, number: int, *parameters: float) -> None:
+        """Send a command with up to seven parameters."""
+        values: Any = [*parameters, *[0.0] * (7 - len(parameters))]
+        self._mavlink.command_long_send(*self.target, number, 0, *values)
+
+    def ask_parameter(self, name: str) -> None:
+        """Ask for the value of a parameter."""
+        self._mavlink.param_request_read_send(*self.target, name.encode(), -1)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a parameter."""
+        self._mavlink.param_set_send(*self.target, name.encode(), value, dialect.MAV_PARAM_TYPE_REAL32)
+
+    def fly_to(self, time: float, position: Any, velocity: Any, acceleration: Any, yaw: float) -> None:
+        """Send a setpoint: north, east, down from the origin of the estimator [m], and its derivatives."""
+        place: Any = (*position, *velocity, *acceleration, yaw, 0.0)
+        frame, mask = dialect.MAV_FRAME_LOCAL_NED, dialect.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+        self._mavlink.set_position_target_local_ned_send(int(1e3 * time), *self.target, frame, mask, *place)
+
+    def mission_count(self, count: int) -> None:
+        """Announce a mission of so many items."""
+        self._mavlink.mission_count_send(*self.target, count, dialect.MAV_MISSION_TYPE_MISSION)
+
+    def mission_item(self, number: int, place: tuple[float, float, float]) -> None:
+        """Send a waypoint of a mission: latitude, longitude [deg], height above home [m]."""
+        latitude, longitude, height = place
+        self._mavlink.mission_item_int_send(
+            *(*self.target, number, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT),
+            *(dialect.MAV_CMD_NAV_WAYPOINT, 0, 1),
+            *(0.0, 0.0, 0.0, 0.0, round(1e7 * latitude), round(1e7 * longitude), height),
+            dialect.MAV_MISSION_TYPE_MISSION,
+        )

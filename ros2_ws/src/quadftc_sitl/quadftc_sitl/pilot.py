@@ -1,0 +1,262 @@
+# pyright: basic
+"""Flies a plan over MAVLink as an operator would: checks, arming, climb, mission, landing.
+
+It runs in the time of the physics, one step after the other between two samples. So what it sends reaches the
+autopilot at the same sample in every flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from quadftc_control.trajectory import combined
+from quadftc_sim.autopilot import to_ned
+from quadftc_sitl.firmware import SitlError
+from quadftc_sitl.journal import MODES, Journal
+from quadftc_sitl.link import MULTIROTORS, MavlinkLink
+from quadftc_sitl.plan import OwnFault, SitlPlan
+
+HOME = (-35.363262, 149.165237, 584.0)  # latitude, longitude [deg], height [m]; ArduPilot's usual field
+DEGREE = 111318.84502145034  # m of latitude, as ArduPilot's Location has it
+TICK = 0.02  # s; between two steps
+SETPOINTS = 0.1  # s; between two setpoints
+RETRY = 1.0  # s; until something unanswered is sent again
+TRIES = 5
+TO_SPEAK, TO_BE_READY, TO_ARM, TO_CLIMB, TO_LAND = (
+    60.0,
+    60.0,
+    30.0,
+    60.0,
+    60.0,
+)  # s; the longest that each may take
+SETTLING = 4.0  # s; of hovering where the trajectories begin, before scenario time 0
+AFTERWARDS = 2.0  # s; flown on after the end, so that the log has it
+WAYPOINT_PERIOD, WAYPOINT_DISTANCE = 4.0, 1.0  # s, m; between waypoints of a mission
+MESSAGES = {  # that it shall send -> Hz
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: 4,
+    dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 10,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10,
+    dialect.MAVLINK_MSG_ID_HEARTBEAT: 10,
+}
+MODE_NUMBERS = {name: number for number, name in MODES.items()}
+
+Steps = Iterator[None]
+
+
+class Pilot:
+    """An operator of one flight; call `step` at every sample until ``done``."""
+
+    def __init__(self, plan: SitlPlan, link: MavlinkLink, begin: Callable[[], None]) -> None:
+        """Take what to fly; ``begin`` is called at scenario time 0."""
+        self.journal, self.done, self.landed = Journal(), False, False
+        self.began: float | None = None  # time at scenario time 0 [s]
+        self.lost: float | None = None  # since when the vehicle is lost [s]; set from outside
+        self._plan, self._link, self._begin = plan, link, begin
+        self._trajectories = tuple(part.law for part in plan.scenario.trajectories)
+        self._first = combined(self._trajectories, 0.0)
+        self._steps, self._next, self._beat = self._fly(), 0.0, 0.0
+        self._were: dict[str, float] = {}  # values of parameters before faults
+
+    def step(self, now: float) -> None:
+        """Hear what has come at a time [s], and go on."""
+        self.journal.now = now
+        for message in self._link.receive():
+            self.journal.hear(message)
+        if now < self._next or self.done:
+            return
+        self._next = now + TICK
+        if now >= self._beat:
+            self._beat = now + 1.0
+            self._link.heartbeat()
+        self.done = next(self._steps, "end") is not None
+
+    def reference(self, now: float) -> Any:
+        """Return where the vehicle shall be at a time [s], `PositionReference`; before 0 where it begins."""
+        elapsed = 0.0 if self.began is None else max(0.0, now - self.began)
+        return combined(self._trajectories, elapsed)
+
+    def _fly(self) -> Steps:
+        yield from self._connect()
+        yield from self._read_parameters()
+        yield from self._get_ready()
+        yield from self._arm()
+        yield from self._climb()
+        if self._plan.section.mode == "auto":
+            yield from self._upload_mission()
+            yield from self._set_mode("AUTO")
+        self.began = self.journal.now
+        self._begin()
+        yield from self._follow()
+        yield from self._come_down()
+
+    def _connect(self) -> Steps:
+        """Wait for a heartbeat of a copter with as many rotors as the vehicle; ask for its version."""
+        journal = self.journal
+        yield from self._wait(
+            lambda: journal.kind is not None, TO_SPEAK, lambda: "no heartbeat on its first serial port"
+        )
+        if journal.autopilot != dialect.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            raise SitlError(f"MAV_AUTOPILOT {journal.autopilot} answers, expected ArduPilot")
+        rotors = self._plan.scenario.rotors
+        if MULTIROTORS.get(journal.kind or 0) != rotors:
+            raise SitlError(f"another vehicle answers: MAV_TYPE {journal.kind}, expected {rotors} rotors")
+        self._link.target = journal.source
+        for message, rate in MESSAGES.items():
+            yield from self._command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
+        version = float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        yield from self._command(dialect.MAV_CMD_REQUEST_MESSAGE, version)
+
+    def _read_parameters(self) -> Steps:
+        """Read the parameters that the plan names, so that a name it does not know is refused."""
+        section = self._plan.section
+        for name in dict.fromkeys([*section.parameters, *(n for fault in section.faults for n in fault.set)]):
+            self.journal.parameters.pop(name, None)
+            for _ in range(TRIES):
+                self._link.ask_parameter(name)
+                if (yield from self._until(lambda name=name: name in self.journal.parameters, RETRY)):
+                    break
+            else:
+                raise SitlError(f"{name}: this firmware has no such parameter")
+        self._were = dict(self.journal.parameters)
+
+    def _get_ready(self) -> Steps:
+        """Wait until it says that it can be armed."""
+        yield from self._until(lambda: self.journal.can_arm, TO_BE_READY)
+        yield from self._set_mode("GUIDED")
+
+    def _arm(self) -> Steps:
+        """Arm, as soon as it lets itself be; a refusal to the end is an error, in its words."""
+        since, answer = self.journal.now, None
+        end = since + TO_ARM
+        while not self.journal.armed and self.journal.now < end:
+            since = self.journal.now
+            answer = yield from self._command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+            accepted = answer == dialect.MAV_RESULT_ACCEPTED
+            yield from self._until(lambda: self.journal.armed, 3.0 if accepted else RETRY)
+        if not self.journal.armed:
+            said = "; ".join(self.journal.refusals(since)) or f"MAV_RESULT {answer}"
+            raise SitlError(f"arming refused: {said}")
+        self.journal.may_disarm = False
+
+    def _climb(self) -> Steps:
+        """Climb to where the trajectories begin, and settle there."""
+        height = float(self._first.position[2])
+        answer = yield from self._command(
+            dialect.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, max(height, 1.0)
+        )
+        if answer != dialect.MAV_RESULT_ACCEPTED:
+            raise SitlError(f"take-off refused: MAV_RESULT {answer}")
+        yield from self._wait(
+            lambda: -self.journal.position[2] > 0.9 * height,
+            TO_CLIMB,
+            lambda: f"did not climb to {height:g} m; it is at {-self.journal.position[2]:.2f} m",
+        )
+        for _ in range(round(SETTLING / SETPOINTS)):
+            self._send_setpoint()
+            yield from self._pause(SETPOINTS)
+
+    def _upload_mission(self) -> Steps:
+        """Send waypoints along the trajectories; item 0 is home."""
+        items = [(*HOME[:2], 0.0), *self._waypoints()]
+        self.journal.mission_result = None
+        self._link.mission_count(len(items))
+        last = self.journal.now
+        while self.journal.mission_result is None:
+            if self.journal.now > last + TRIES * RETRY:
+                raise SitlError("does not take a mission: it asks for no items")
+            number, self.journal.wanted_item = self.journal.wanted_item, None
+            if number is not None and number < len(items):
+                last = self.journal.now
+                self._link.mission_item(number, items[number])
+            yield
+        if self.journal.mission_result != dialect.MAV_MISSION_ACCEPTED:
+            raise SitlError(f"does not take a mission: MAV_MISSION_RESULT {self.journal.mission_result}")
+
+    def _waypoints(self) -> list[tuple[float, float, float]]:
+        """Return latitude, longitude [deg] and height [m] of places along the trajectories."""
+        places = [self._first.position]
+        for number in range(1, int(self._plan.scenario.duration / WAYPOINT_PERIOD) + 1):
+            place = combined(self._trajectories, number * WAYPOINT_PERIOD).position
+            if math.dist(place, places[-1]) > WAYPOINT_DISTANCE:
+                places.append(place)
+        east = DEGREE * math.cos(math.radians(HOME[0]))
+        return [(HOME[0] + y / DEGREE, HOME[1] + x / east, float(z)) for x, y, z in places]
+
+    def _follow(self) -> Steps:
+        """Follow the trajectories for the length of the scenario, and put its own faults on and off."""
+        begin = self.journal.now
+        while self.journal.now < begin + self._plan.scenario.duration and self._flies():
+            if self._plan.section.mode == "guided":
+                self._send_setpoint()
+            for fault in self._plan.section.faults:
+                self._set_fault(fault, self.journal.now - begin)
+            yield from self._pause(SETPOINTS)
+
+    def _come_down(self) -> Steps:
+        """Land, unless the vehicle is lost."""
+        if self._flies():
+            self.journal.may_disarm = True
+            yield from self._set_mode(self._plan.section.end.upper())
+            yield from self._until(lambda: not self._flies(), TO_LAND)
+        self.landed = not self.journal.armed and self.lost is None
+        yield from self._pause(AFTERWARDS)
+
+    def _flies(self) -> bool:
+        return self.journal.armed and self.lost is None
+
+    def _send_setpoint(self) -> None:
+        """Send where to be now; its origin is where it stood at first."""
+        wanted = self.reference(self.journal.now)
+        offset = [float(self._first.position[0]), float(self._first.position[1]), 0.0]
+        place, speed, push = (
+            to_ned(vector).tolist()
+            for vector in (wanted.position - offset, wanted.velocity, wanted.acceleration)
+        )
+        self._link.fly_to(self.journal.now, place, speed, push, 0.5 * math.pi - float(wanted.yaw))
+
+    def _set_fault(self, fault: OwnFault, elapsed: float) -> None:
+        """Set the parameters of a fault to what they shall be at a scenario time [s]."""
+        share = 0.0
+        if fault.start <= elapsed < fault.end:
+            share = 1.0 if fault.rise == 0.0 else min(1.0, (elapsed - fault.start) / fault.rise)
+        for name, value in fault.set.items():
+            wanted = self._were[name] + share * (value - self._were[name])
+            if wanted != self.journal.parameters.get(name):
+                self.journal.parameters[name] = wanted
+                self._link.set_parameter(name, wanted)
+
+    def _set_mode(self, name: str) -> Steps:
+        """Change the mode; a refusal is an error."""
+        self.journal.asked_mode = MODE_NUMBERS[name]
+        flags = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+        answer = yield from self._command(dialect.MAV_CMD_DO_SET_MODE, flags, float(MODE_NUMBERS[name]))
+        if answer != dialect.MAV_RESULT_ACCEPTED and self.began is None:
+            raise SitlError(f"mode {name} refused: MAV_RESULT {answer}")
+
+    def _command(self, number: int, *parameters: float) -> Iterator[Any]:
+        """Send a command until it is answered; return its MAV_RESULT, None without an answer."""
+        self.journal.acknowledged.pop(number, None)
+        for _ in range(TRIES):
+            self._link.command(number, *parameters)
+            if (yield from self._until(lambda: number in self.journal.acknowledged, RETRY)):
+                return self.journal.acknowledged[number]
+        return None
+
+    def _until(self, condition: Callable[[], bool], patience: float) -> Iterator[Any]:
+        """Wait for a condition, so many seconds at most; return whether it holds."""
+        end = self.journal.now + patience
+        while not condition() and self.journal.now < end:
+            yield
+        return condition()
+
+    def _wait(self, condition: Callable[[], bool], patience: float, words: Callable[[], str]) -> Steps:
+        """Wait for a condition; a `SitlError` if it does not come true in time."""
+        if not (yield from self._until(condition, patience)):
+            raise SitlError(f"{words()}, within {patience:g} s of its clock")
+
+    def _pause(self, duration: float) -> Steps:
+        yield from self._until(lambda: False, duration - 0.5 * TICK)

@@ -1,0 +1,209 @@
+"""What an autopilot is to fly: a scenario of free flight, and its key ``autopilot``.
+
+The key is optional; any scenario of free flight can be flown without it:
+
+    autopilot:
+      mode: guided              # setpoints of the trajectories; or auto: a mission of waypoints along them
+      end: land                 # or rtl
+      parameters: {ARMING_CHECK: 1}
+      faults:                   # the autopilot's own simulated ones, set as parameters and put back
+        - {set: {SIM_GYR1_BIAS_X: 0.3}, start: 20 s, stop: 25 s}
+      checks:
+        - {metric: survived, above: 0.5}
+      catalogue:                # flights of `quadftc sitl --catalogue`, each with its faults
+        - {name: gyro_x_step, faults: [{kind: bias, channel: gyro, axes: x, value: 0.3, start: 10 s}]}
+        - {name: gps_step, own: [{set: {SIM_GPS1_GLTCH_X: 0.0005}, start: 10 s}]}
+
+Times are those of the scenario: 0 is when the vehicle has climbed to where its trajectories begin.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import pydantic
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+
+from quadftc_flight.scenario import Check, Document, Problem, Scenario, Scheme, build_scenario, problems_of
+from quadftc_flight.scenario.document import ScenarioError, parse_document
+from quadftc_model.units import quantity
+
+KEY = "autopilot"
+LOOP_RATE = "SCHED_LOOP_RATE"  # ArduCopter's own loop [Hz], and its default
+USUAL_LOOP_RATE = 400.0
+GYRO_RATE = 2.0  # of the gyro to the loop; ArduCopter does not arm below 1.8
+USUAL_SCHEME = {
+    "observer": "isolating",
+    "disturbance_observer": "none",
+    "controller": "ismc",
+    "position_controller": "geometric",
+}
+# parameter of the simulation -> component that it makes fail, as `quadftc diagnose` names it
+COMPONENTS = {
+    "SIM_GYR": "gyro",
+    "SIM_ACC": "accelerometer",
+    "SIM_MAG": "magnetometer",
+    "SIM_BAR": "barometer",
+    "SIM_GPS": "gps",
+    "SIM_ENGINE": "rotor",
+}
+PARAMETER = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+
+
+def _one_of(*names: str) -> AfterValidator:
+    def check(name: str) -> str:
+        if name not in names:
+            raise ValueError(f"'{name}': expected one of {', '.join(names)}")
+        return name
+
+    return AfterValidator(check)
+
+
+Seconds = Annotated[float, BeforeValidator(lambda raw: quantity(raw, "s")), Field(ge=0.0, le=3600.0)]
+ParameterName = Annotated[str, Field(pattern=f"^{PARAMETER.pattern}$")]
+ParameterValue = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Shape(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class OwnFault(_Shape):
+    """A fault of the autopilot's own simulation: parameters, set at a time and put back at another."""
+
+    set: dict[ParameterName, ParameterValue] = Field(min_length=1)
+    start: Seconds = 0.0  # [s]
+    stop: Seconds | None = None  # [s]; None: to the end
+    rise: Seconds = 0.0  # over which the values grow to what is set [s]; 0: a step
+    component: str = ""  # that fails, with its element, such as 'gps north'; empty: by the parameters
+    kind: str = ""  # what it looks like
+
+    @property
+    def failing(self) -> str:
+        """The component that fails, with its element; empty: not known."""
+        names = (word for name in self.set for start, word in COMPONENTS.items() if name.startswith(start))
+        return self.component or next(names, "")
+
+    @property
+    def end(self) -> float:
+        """When it ends [s]."""
+        return math.inf if self.stop is None else self.stop
+
+
+class Entry(_Shape):
+    """A flight of a catalogue: the scenario with other faults; ours, the autopilot's own, or both."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+    faults: list[dict[str, Any]] = []  # as under `faults` of a scenario
+    own: tuple[OwnFault, ...] = ()
+
+
+class Section(_Shape):
+    """The key ``autopilot`` of a scenario."""
+
+    mode: Annotated[str, _one_of("guided", "auto")] = "guided"
+    end: Annotated[str, _one_of("land", "rtl")] = "land"
+    parameters: dict[ParameterName, ParameterValue] = {}
+    faults: tuple[OwnFault, ...] = ()
+    checks: tuple[Check, ...] = ()
+    catalogue: tuple[Entry, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class SitlPlan:
+    """One flight of an autopilot."""
+
+    name: str
+    scenario: Scenario
+    scheme: Scheme  # whose observer runs beside it
+    section: Section
+
+    @property
+    def raw(self) -> dict[str, Any]:
+        """The scenario as plain data, with the key ``autopilot``."""
+        section = self.section.model_dump(mode="json", exclude_none=True, exclude={"catalogue"})
+        return {**self.scenario.raw, KEY: section}
+
+    @property
+    def rate(self) -> float:
+        """Of the physics and of our IMU [Hz]."""
+        return max(self.scenario.rate, GYRO_RATE * self.section.parameters.get(LOOP_RATE, USUAL_LOOP_RATE))
+
+
+def plan_of(document: Document, scheme: str = "", name: str = "") -> SitlPlan:
+    """Build what is to be flown of a scenario file; a ScenarioError has one line for each problem."""
+    plain = {key: value for key, value in document.data.items() if key != KEY}
+    plain.setdefault("schemes", {"beside": USUAL_SCHEME})
+    scenario = build_scenario(dataclasses.replace(document, data=plain))
+    if not scenario.plant.flies:
+        wanted = "an autopilot flies free: expected 'plant: {kind: free_flight}'"
+        raise document.error([Problem(("plant",), wanted)])
+    section = _section_of(document)
+    return SitlPlan(
+        name=name or scenario.name, scenario=scenario, scheme=scenario.scheme(scheme or None), section=section
+    )
+
+
+def plan_of_text(text: str, scheme: str, name: str) -> SitlPlan:
+    """Build what is to be flown of the text of a scenario."""
+    return plan_of(parse_document(text, f"{name}.yaml"), scheme, name)
+
+
+def plans_of_catalogue(document: Document, scheme: str, seeds: Sequence[int]) -> list[SitlPlan]:
+    """Build the flights of the catalogue of a scenario, each with some seeds."""
+    entries = _section_of(document).catalogue
+    if not entries:
+        raise document.error([Problem((KEY,), "no 'catalogue': expected a list of flights")])
+    names = [entry.name for entry in entries]
+    if twice := next((name for name in names if names.count(name) > 1), ""):
+        raise document.error([Problem((KEY, "catalogue"), f"'{twice}' comes twice")])
+    plans: list[SitlPlan] = []
+    for entry in entries:
+        for seed in seeds:
+            own = [fault.model_dump(exclude_none=True) for fault in entry.own]
+            changes: dict[tuple[str | int, ...], Any] = {("faults",): entry.faults, ("seed",): seed}
+            changes |= {(KEY, "faults"): own, (KEY, "catalogue"): []}
+            changed = document.replaced(changes, f"catalogue, '{entry.name}'")
+            plans.append(plan_of(changed, scheme, f"{entry.name}-{seed}"))
+    return plans
+
+
+def _section_of(document: Document) -> Section:
+    try:
+        return Section.model_validate(document.data.get(KEY) or {})
+    except pydantic.ValidationError as error:
+        found = problems_of(error, _model_at)
+        raise document.error([problem._replace(path=(KEY, *problem.path)) for problem in found]) from None
+
+
+def _model_at(path: Sequence[str | int]) -> type[BaseModel]:
+    inside = {"faults": OwnFault, "checks": Check, "catalogue": Entry, "own": OwnFault}
+    names = [inside[str(key)] for key in path if key in inside]
+    return names[-1] if names else Section
+
+
+def read_parameters(path: Path) -> dict[str, float]:
+    """Read a parameter file of ArduPilot: a name and a number a line, # begins a comment."""
+    from quadftc_model.small_files import read_small
+
+    found: dict[str, float] = {}
+    for number, line in enumerate(read_small(path).splitlines(), 1):
+        words = re.split(r"[\s,=]+", line.partition("#")[0].strip())
+        if words == [""]:
+            continue
+        where = f"{path}:{number}"
+        if len(words) < 2 or not PARAMETER.fullmatch(words[0]):
+            raise ScenarioError(f"{where}: {line.strip()!r}: expected NAME VALUE")
+        try:
+            value = float(words[1])
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise ScenarioError(f"{where}: {words[0]} = {words[1]!r}: expected a number")
+        found[words[0]] = value
+    return found

@@ -1,0 +1,217 @@
+"""One flight of a firmware: everything started, flown, ended, judged and written.
+
+>>> result = fly_sitl(plan, Path("arducopter"), Path("results/hover"))
+>>> result["survived"], result["faults"]
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import yaml
+
+from quadftc_control.trajectory import combined
+from quadftc_flight.checks import check_results
+from quadftc_flight.junit import write_file
+from quadftc_model.versions import software_version
+from quadftc_sitl.firmware import (
+    PARAMETERS,
+    Firmware,
+    ardupilot_arguments,
+    open_sockets,
+    parameter_file,
+)
+from quadftc_sitl.link import MavlinkLink
+from quadftc_sitl.physics import Fate, Physics, PhysicsSocket
+from quadftc_sitl.pilot import HOME, Pilot
+from quadftc_sitl.plan import SitlPlan
+from quadftc_sitl.recording import Recorder
+from quadftc_sitl.scoring import describe_faults, metrics_of, noticed, observed
+from quadftc_sitl.verdicts import diagnose_log_of
+
+SUMMARY, BAG, SCENARIO = "sitl.json", "bag", "scenario.yaml"
+LOOK = 2.0  # s of the wall clock; how often the sockets of the firmware are read
+# what a quadrotor of our physics needs; those of a scenario and of files come on top
+COMPASS = {"X": 5.0, "Y": 13.0, "Z": -18.0}  # offsets that ArduPilot's simulated compass has
+STICKS = {"MIN": 1000.0, "MAX": 2000.0, "TRIM": 1500.0}  # us
+MINE = {
+    **dict.fromkeys(("FRAME_CLASS", "FRAME_TYPE", "MOT_THST_EXPO"), 1.0),
+    "BATT_MONITOR": 4.0,
+    "MOT_BAT_VOLT_MAX": 0.0,
+    "MOT_SPIN_ARM": 0.15,
+    "MOT_SPIN_MIN": 0.16,
+    **{f"SERIAL{number}_PROTOCOL": -1.0 for number in (1, 2, 5, 6, 7)},
+    **{f"COMPASS_OFS{unit}_{axis}": value for unit in ("", "2", "3") for axis, value in COMPASS.items()},
+    **{f"INS_ACC{unit}OFFS_{axis}": 0.001 for unit in ("", "2") for axis in "XYZ"},
+    **{f"INS_ACC{unit}SCAL_{axis}": 1.001 for unit in ("", "2") for axis in "XYZ"},
+    **{f"RC{number}_{name}": value for number in range(1, 9) for name, value in STICKS.items()},
+}
+
+
+def fly_sitl(
+    plan: SitlPlan,
+    binary: Path,
+    out: Path,
+    parameters: Mapping[str, float] | None = None,
+    physics_port: int = 0,
+    engine: str = "c",
+) -> dict[str, Any]:
+    """Fly a plan with ArduPilot's simulation in a new folder; return the summary that is written there.
+
+    ``parameters`` come on top of those of the plan. A `SitlError` says why nothing was flown; OSError, why
+    nothing could be written.
+    """
+    begin = time.perf_counter()
+    out.mkdir(parents=True)
+    given = {**MINE, "SIM_RATE_HZ": plan.rate, **plan.section.parameters, **(parameters or {})}
+    (out / PARAMETERS).write_text(parameter_file(given), encoding="ascii")
+    text = yaml.safe_dump(plan.raw, sort_keys=False, width=120)
+    (out / SCENARIO).write_text(text, encoding="utf-8")
+    place = combined(tuple(part.law for part in plan.scenario.trajectories), 0.0).position
+    start = float(place[0]), float(place[1])
+    physics, link, server = Physics(plan, start, engine), MavlinkLink(), PhysicsSocket(physics_port)
+    channels = {fault.injection.channel for fault in plan.scenario.faults}
+    recorder = Recorder(out / BAG, {SCENARIO: text.encode()}, channels)
+    arguments = ardupilot_arguments(binary, server.port, link.port)
+    arguments += ["--home", ",".join(f"{value:.9g}" for value in (*HOME, 90.0))]
+    flight = Flight(plan, physics, server, link, recorder)
+    try:
+        with Firmware(arguments, out) as firmware:
+            flight.fly(firmware)
+            firmware.end(flight.serve)
+    finally:
+        recorder.close()
+        link.close()
+        server.close()
+    wall_time = time.perf_counter() - begin
+    result = flight.result(arguments, wall_time)
+    result |= diagnose_log_of(out, plan, flight.log_zero, result["faults"])
+    result["metrics"] = metrics_of(result, flight.errors)
+    result["checks"] = [each._asdict() for each in check_results(result["metrics"], plan.section.checks)]
+    write_file(out / SUMMARY, json.dumps(_finite(result), indent=2, allow_nan=False) + "\n")
+    return result
+
+
+class Flight:
+    """What happens between the packets of a firmware."""
+
+    def __init__(
+        self, plan: SitlPlan, physics: Physics, server: PhysicsSocket, link: MavlinkLink, recorder: Recorder
+    ) -> None:
+        self._plan, self._physics, self._server = plan, physics, server
+        self._recorder, self._link = recorder, link
+        self._pilot = Pilot(plan, link, physics.begin)
+        self._fate = Fate(physics.stand)
+        self._sockets: list[str] = []
+        self.errors: list[float] = []  # distance from the reference at each sample of the mission [m]
+
+    @property
+    def log_zero(self) -> float:
+        """Scenario time 0 on the clock of the firmware [s]."""
+        return (self._pilot.began or 0.0) + self._pilot.journal.boot_offset
+
+    def fly(self, firmware: Firmware) -> None:
+        """Fly to the end; a `SitlError` says why that cannot be done."""
+        look = time.monotonic()
+        while not self._pilot.done:
+            self._answer(self._server.wait(firmware))
+            if time.monotonic() > look:
+                look = time.monotonic() + LOOK
+                self._sockets = sorted({*self._sockets, *open_sockets(firmware.pid)})
+
+    def serve(self, patience: float) -> None:
+        """Answer what comes in so long [s], while the firmware ends."""
+        end = time.monotonic() + patience
+        while (left := end - time.monotonic()) > 0.0:
+            self._answer(self._server.take(left))
+
+    def _answer(self, packets: list[bytes]) -> None:
+        line = None
+        for data in packets:
+            answer, shown = self._physics.answer(data, self._recorder)
+            line = answer or line
+            if shown is not None:
+                self._watch(shown)
+        if line is not None:
+            self._server.send(line)
+
+    def _watch(self, shown: Any) -> None:
+        """Let the pilot act on a sample, and see whether the vehicle is lost."""
+        pilot, now = self._pilot, self._physics.now
+        pilot.step(now)
+        if pilot.began is None or pilot.done or pilot.landed:
+            return
+        wanted = pilot.reference(now)
+        if now <= pilot.began + self._plan.scenario.duration:
+            self.errors.append(math.dist(shown.emission.flight.position, wanted.position))
+        if self._fate.step(shown.emission.flight, wanted) and pilot.lost is None:
+            pilot.lost = now
+
+    def result(self, arguments: list[str], wall_time: float) -> dict[str, Any]:
+        """Return what is known without the firmware's log."""
+        plan, pilot, physics = self._plan, self._pilot, self._physics
+        zero, journal = pilot.began or 0.0, pilot.journal
+        scenario = plan.scenario
+        faults = describe_faults(plan)
+        events = [event._replace(time=round(event.time - zero, 3)) for event in journal.events]
+        survived = pilot.lost is None and pilot.landed
+        ended = self._fate.words or ("landed" if pilot.landed else "still flying when time was up")
+        for fault in faults:
+            fault["autopilot"] = noticed(fault, events)
+            fault["observer"] = observed(fault, physics.reports, physics.begin_ns or 0)
+        words = [line for line in [self._recorder.problem] if line]
+        return {
+            "name": plan.name,
+            "scenario": scenario.name,
+            "scheme": plan.scheme.name,
+            "observer": plan.scheme.observer.kind,
+            "seed": scenario.seed,
+            "vehicle": scenario.vehicle,
+            "autopilot": {
+                "kind": "ardupilot",
+                "version": journal.version,
+                "command": arguments,
+                "open_sockets": self._sockets,
+                "wrong_packets": physics.wrong_packets(),
+                "packets_from_elsewhere": self._server.strangers + self._link.strangers,
+            },
+            "survived": survived,
+            "ended": ended,
+            "lost_s": None if pilot.lost is None else round(pilot.lost - zero, 3),
+            "faults": faults,
+            "observer_said": observed_all(physics.reports, physics.begin_ns or 0, scenario.duration),
+            "autopilot_said": [event._asdict() for event in events],
+            "real_time_factor": physics.now / wall_time if wall_time > 0.0 else None,
+            "recorded": {"messages": sum(self._recorder.counts.values()), "problem": "; ".join(words)},
+            "versions": {"quadftc": software_version(), "pymavlink": version("pymavlink")},
+        }
+
+
+def observed_all(reports: Any, begin_ns: int, duration: float) -> list[dict[str, Any]]:
+    """Return each fault that the observer has confirmed in the mission, once, with its time [s]."""
+    seen: dict[tuple[str, str], dict[str, Any]] = {}
+    for report in reports:
+        at = round(1e-9 * (report.stamp_ns - begin_ns), 3)
+        if begin_ns and 0.0 <= at < duration:
+            for fault in report.faults:
+                key = fault.component, fault.element
+                first = {"component": key[0], "element": key[1], "kind": fault.kind, "time": at}
+                seen.setdefault(key, {**first, "ambiguous_with": list(fault.ambiguous_with)})
+    return list(seen.values())
+
+
+def _finite(value: Any) -> Any:
+    """Return data as JSON takes it: what is not finite becomes None, NumPy's numbers plain ones."""
+    if isinstance(value, dict):
+        return {str(key): _finite(each) for key, each in cast("dict[Any, Any]", value).items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(each) for each in cast("list[Any]", value)]
+    plain: Any = cast("Any", value.item()) if isinstance(value, np.generic) else value
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain

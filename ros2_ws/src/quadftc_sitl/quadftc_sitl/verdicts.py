@@ -1,0 +1,74 @@
+"""What `quadftc diagnose` says of the log that the firmware has left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from quadftc_replay.inspection.diagnosis import read_with_layout, write_verdict
+from quadftc_replay.inspection.inspect import inspect
+from quadftc_sitl.plan import SitlPlan
+from quadftc_sitl.scoring import EARLY, is_it
+
+NOTHING: dict[str, Any] = {"named": False, "delay_s": None, "as": []}
+
+
+def log_of(folder: Path) -> Path | None:
+    """Return the last log that ArduPilot has written in a folder; None: there is none."""
+    logs = sorted((folder / "logs").glob("*.BIN"))
+    return logs[-1] if logs else None
+
+
+def diagnose_log_of(
+    folder: Path, plan: SitlPlan, log_zero: float, faults: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Judge the log; put what was said of each fault into it, and return all that was said.
+
+    ``log_zero`` is scenario time 0 on the clock of the log [s].
+    """
+    log = log_of(folder)
+    said: dict[str, Any] = {"log": "", "outcome": "", "findings": [], "problem": ""}
+    for fault in faults:
+        fault["diagnose"] = dict(NOTHING)
+    if log is None:
+        return {"diagnose": {**said, "problem": "the firmware has left no log"}}
+    said["log"] = str(log.relative_to(folder))
+    try:
+        recording = read_with_layout(log, "")
+        verdict = inspect(recording, None).verdict
+    except ValueError as error:
+        return {"diagnose": {**said, "problem": str(error)}}
+    write_verdict(verdict, folder)
+    shift = 1e-9 * recording.start_ns - log_zero
+    findings = [_finding(each, shift) for each in verdict.findings]
+    for fault in faults:
+        fault["diagnose"] = _of_fault(fault, findings)
+    said |= {"outcome": verdict.outcome, "sentence": verdict.sentence, "findings": findings}
+    return {"diagnose": said}
+
+
+def _finding(finding: Any, shift: float) -> dict[str, Any]:
+    given = finding.model_dump(mode="json", include={"component", "element", "kind", "size", "unit"})
+    end = None if finding.end_s is None else round(finding.end_s + shift, 3)
+    return {
+        **given,
+        "probability": finding.probability,
+        "ambiguous_with": list(finding.ambiguous_with),
+        "onset": round(finding.onset_s + shift, 3),
+        "end": end,
+    }
+
+
+def _of_fault(fault: Mapping[str, Any], findings: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the findings that are a fault, the earliest first."""
+    own = [
+        each
+        for each in sorted(findings, key=lambda each: each["onset"])
+        if is_it(fault, each["component"], each["element"], each["ambiguous_with"])
+        and each["onset"] >= fault["start"] - EARLY
+    ]
+    if not own:
+        return dict(NOTHING)
+    words = [f"{each['component']} {each['element']}: {each['kind']}".replace(" :", ":") for each in own]
+    return {"named": True, "delay_s": round(own[0]["onset"] - fault["start"], 3), "as": words}

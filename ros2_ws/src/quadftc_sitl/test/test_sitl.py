@@ -1,0 +1,225 @@
+"""Flights of a stand-in for ArduPilot's simulation, and what is refused. The real one is flown by hand."""
+
+import json
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from quadftc_bags.bag import read_bag
+from quadftc_cli.main import guarded
+from quadftc_flight.scenario import ScenarioError
+from quadftc_sitl import physics, pilot
+from quadftc_sitl.catalogue import table_rows
+from quadftc_sitl.firmware import open_sockets
+from quadftc_sitl.journal import Event
+from quadftc_sitl.plan import plan_of_text, plans_of_catalogue, read_parameters
+from quadftc_sitl.scoring import is_it, noticed
+
+HERE = Path(__file__).parent
+SCENARIO = """
+name: short
+duration: 3 s
+rate: 400 Hz
+vehicle: x500
+plant: {kind: free_flight}
+sensors: {grade: mems}
+position_sensor: {grade: gps}
+trajectories:
+  - {kind: hover, position: [0, 0, 1]}
+faults:
+  - {kind: bias, channel: gyro, axes: x, value: 0.2 rad/s, start: 1 s, stop: 2 s}
+autopilot:
+  faults:
+    - {set: {SIM_GYR1_BIAS_X: 0.3}, start: 1.5 s, stop: 2 s}
+  checks:
+    - {metric: survived, above: 0.5}
+    - {metric: autopilot_delay_s, below: 0.001}
+"""
+ENDS, REFUSES, IS_A_PLANE, STOPS = range(1, 5)  # as in the peer
+
+
+@pytest.fixture
+def flown(tmp_path, monkeypatch):
+    """Fly a scenario with the peer, by the command; return exit code and the flight's folder."""
+    monkeypatch.setattr(pilot, "SETTLING", 1.0)
+    monkeypatch.setattr(pilot, "AFTERWARDS", 0.1)
+    monkeypatch.setattr(pilot, "TO_SPEAK", 1.0)
+    monkeypatch.setattr(pilot, "TO_BE_READY", 1.0)
+    monkeypatch.setattr(pilot, "TO_ARM", 1.0)
+    monkeypatch.setattr(physics, "PATIENCE", 1.0)
+    peer, scenario = tmp_path / "peer", tmp_path / "short.yaml"
+    peer.write_text(f"#!{sys.executable}\n" + (HERE / "sitl_peer.py").read_text())
+    peer.chmod(0o755)
+    scenario.write_text(SCENARIO)
+
+    def fly(*options, binary=peer):
+        arguments = ["sitl", str(scenario), "--autopilot", "ardupilot", "--binary", str(binary)]
+        return guarded([*arguments, "--out", str(tmp_path / "out"), *options]), tmp_path / "out" / "short"
+
+    return fly
+
+
+def test_flight_ends_with_one_summary_of_all_that_was_said(flown, capsys):
+    code, folder = flown("--junit", "junit.xml")
+    found = json.loads((folder / "sitl.json").read_text())
+    assert code == 1  # the autopilot is slower than the second check allows; the vehicle survives
+    assert [check["passed"] for check in found["checks"]] == [True, False]
+    assert found["survived"]
+    assert found["ended"] == "landed"
+    ours, own = found["faults"]
+    assert ours["observer"]["named"]
+    assert ours["observer"]["delay_s"] < 0.1
+    assert own["observer"]["named"] is None  # it is not in our samples
+    assert own["autopilot"]["words"] == "EKF3 lane switch 1"
+    assert own["autopilot"]["delay_s"] < 0.1
+    assert found["metrics"]["position_max_m"] < 1.5
+    (port,) = found["autopilot"]["open_sockets"]
+    assert port.startswith("udp 0.0.0.0:")
+    assert port in capsys.readouterr().out
+    bag = read_bag(folder / "bag")
+    assert bag.topics["/imu/data"].count == bag.topics["/plant/odometry"].count - 1  # one is in the IMU
+    gyro = bag.series("fault/injected/gyro")["vector"][:, 0]
+    assert {round(value, 6) for value in gyro.tolist()} == {0.0, 0.2}
+
+
+@pytest.mark.parametrize(
+    ("way", "words"),
+    [
+        (ENDS, "ended early, with code 1; it says:\nerror: panic: no such thing"),
+        (REFUSES, "arming refused: Arm: Compass not calibrated"),
+        (IS_A_PLANE, "another vehicle answers: MAV_TYPE 1, expected 4 rotors"),
+        (STOPS, "hangs: it has sent nothing more for 1 s"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_and_its_process_ends(flown, capsys, way, words):
+    code, _ = flown("--set", f"autopilot.parameters.PEER={way}", "--set", "autopilot.checks=[]")
+    assert code == 2
+    assert words.partition("\n")[0] in capsys.readouterr().err
+
+
+def test_binary_that_cannot_run_is_refused(flown, tmp_path, capsys):
+    text = tmp_path / "no_binary"
+    text.write_text("hello")
+    assert flown(binary=text)[0] == 2
+    assert "does not start: Permission denied" in capsys.readouterr().err
+    assert flown(binary=tmp_path / "nowhere")[0] == 2
+
+
+def test_firmware_ends_with_us_even_when_we_are_killed(tmp_path):
+    script = (
+        "from pathlib import Path; import sys, time; from quadftc_sitl.firmware import Firmware\n"
+        "with Firmware(['sleep', '600'], Path(sys.argv[1])) as it: print(it.pid, flush=True); time.sleep(600)"
+    )
+    ours = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    with ours:
+        pid = int(ours.stdout.readline())
+        ours.send_signal(signal.SIGKILL)
+    for _ in range(100):
+        try:
+            os.kill(pid, 0)
+            state = Path(f"/proc/{pid}/stat").read_text().split()[2]
+        except (ProcessLookupError, FileNotFoundError):
+            return
+        if state == "Z":  # dead; whoever adopted it has not looked yet
+            return
+        time.sleep(0.05)
+    pytest.fail("it runs on")
+
+
+def test_only_sockets_that_others_can_reach_are_named():
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as everywhere,
+        socket.create_server(("0.0.0.0", 0)) as server,
+    ):
+        here.bind(("127.0.0.1", 0))
+        everywhere.bind(("0.0.0.0", 0))
+        found = open_sockets(os.getpid())
+        assert f"udp 0.0.0.0:{everywhere.getsockname()[1]}" in found
+        assert f"tcp 0.0.0.0:{server.getsockname()[1]}" in found
+        assert not any(line.endswith(f":{here.getsockname()[1]}") for line in found)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("kind: free_flight", "kind: test_stand", "expected 'plant: {kind: free_flight}'"),
+        ("mode: guided", "mode: acro", "autopilot.mode: 'acro': expected one of guided, auto"),
+        ("set: {SIM_GYR1_BIAS_X: 0.3}", "set: {}", "autopilot.faults[0].set"),
+        (
+            "set: {SIM_GYR1_BIAS_X: 0.3}",
+            "sets: {A: 1}",
+            "autopilot.faults[0].sets: unknown key (did you mean 'set'?)",
+        ),
+        ("start: 1.5 s", "start: 1.5 m", "autopilot.faults[0].start"),
+    ],
+)
+def test_plan_that_makes_no_sense_is_refused(before, after, words):
+    text = SCENARIO.replace("autopilot:\n", "autopilot:\n  mode: guided\n").replace(before, after)
+    with pytest.raises(ScenarioError) as caught:
+        plan_of_text(text.replace("trajectories", "references") if "stand" in after else text, "", "short")
+    assert words in str(caught.value)
+
+
+def test_catalogue_has_a_flight_for_each_fault_and_seed():
+    extra = "  catalogue: [{name: healthy}, {name: gps, own: [{set: {SIM_GPS1_GLTCH_X: 1}, start: 1 s}]}]\n"
+    from quadftc_flight.scenario.document import parse_document
+
+    plans = plans_of_catalogue(parse_document(SCENARIO + extra, "short.yaml"), "", range(2))
+    assert [plan.name for plan in plans] == ["healthy-0", "healthy-1", "gps-0", "gps-1"]
+    assert [plan.scenario.seed for plan in plans] == [0, 1, 0, 1]
+    assert [fault.failing for fault in plans[2].section.faults] == ["gps"]
+    assert not plans[2].scenario.faults
+
+
+@pytest.mark.parametrize("line", ["WP", "wp_speed 1", "WP_SPEED fast", "WP_SPEED nan"])
+def test_parameter_file_says_which_line_is_wrong(tmp_path, line):
+    file = tmp_path / "my.parm"
+    file.write_text(f"# mine\nWP_YAW 1\n{line}\n")
+    with pytest.raises(ScenarioError, match=r"my\.parm:3: "):
+        read_parameters(file)
+    file.write_text("# mine\nWP_YAW 1\nA,2 # two\n")
+    assert read_parameters(file) == {"WP_YAW": 1.0, "A": 2.0}
+
+
+def test_finding_is_the_fault_that_it_names_or_might_be():
+    fault = {"component": "gyro", "elements": ["x"]}
+    assert is_it(fault, "gyro", "x")
+    assert is_it(fault, "gyro 2", "x")
+    assert is_it(fault, "attitude", "roll", ["gyro/x"])
+    assert not is_it(fault, "gyro", "y")
+    assert not is_it(fault, "accelerometer", "x")
+    assert is_it({"component": "attitude", "elements": ["roll"]}, "attitude", "roll")
+
+
+def test_autopilot_has_noticed_what_it_says_from_the_fault_on():
+    fault = {"start": 10.0, "stop": math.inf}
+    events = [
+        Event(9.9, "text", "EKF variance", True),
+        Event(10.5, "text", "hello", False),
+        Event(12.0, "lane", "EKF3 lane switch 1", True),
+    ]
+    found = noticed(fault, events)
+    assert (found["noticed"], found["delay_s"], found["lane_delay_s"]) == (True, 2.0, 2.0)
+    assert not noticed(fault, events[:2])["noticed"]
+
+
+def test_table_counts_flights_by_fault():
+    def flight(name, survived, delay):
+        told = {"named": delay is not None, "noticed": delay is not None, "delay_s": delay}
+        fault = {"autopilot": told, "observer": {**told, "named": None}, "diagnose": told}
+        return {"name": name, "survived": survived, "faults": [fault], "metrics": {}}
+
+    flights = [
+        flight("gps_step-1", True, 0.5),
+        flight("gps_step-2", False, None),
+        {"name": "x-1", "error": "no"},
+    ]
+    assert list(table_rows(flights)) == [("gps_step", "2", "1 of 2, 0.5 s", "-", "1 of 2, 0.5 s", "1 of 2")]
