@@ -36,6 +36,12 @@ def made(tmp_path, monkeypatch):
             del registry._components[name]
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_placeholder_is_left(kind, tmp_path):
+    written = write_package(kind, f"brand_new_{kind}", tmp_path)
+    assert not [file for file in written if "@A_" in file.read_text() or "@NAME" in file.read_text()]
+
+
 def test_observer_names_a_step_of_the_attitude(made):
     law = fault_observers.get(made("observer"))(vehicle=load_vehicle("qball_x4"))
     healthy = FaultObserverInputs(level_sample(), np.zeros(3))

@@ -53,7 +53,7 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
     for path, text in files.items():
         file = folder / path
         file.parent.mkdir(parents=True, exist_ok=True)
-        content = re.sub("@[A-Z]+@", lambda word: words[word[0]], text.replace("@TRIAL@", row.trial))
+        content = re.sub("@[A-Z_]+@", lambda word: words[word[0]], text.replace("@TRIAL@", row.trial))
         file.write_text(content, encoding="utf-8")
         written.append(file)
     return written
