@@ -41,10 +41,10 @@ class Component(NamedTuple):
     bars: tuple[tuple[str, float, float], ...]
 
 
-def write_page(inspection: Inspection, directory: Path) -> Path:
-    """Write ``report.html`` into a directory; return its path."""
+def write_page(inspection: Inspection, directory: Path, name: str = PAGE) -> Path:
+    """Write the page of an inspection into a directory; return its path."""
     directory.mkdir(parents=True, exist_ok=True)
-    return write_file(directory / PAGE, render_verdict(inspection))
+    return write_file(directory / name, render_verdict(inspection))
 
 
 def render_verdict(inspection: Inspection) -> str:

@@ -11,7 +11,7 @@ from rich.console import Group
 from rich.table import Table
 from typer import Argument
 
-from quadftc_cli.screen import console
+from quadftc_cli.screen import console, plain_table
 from quadftc_control.controller import controllers
 from quadftc_control.position_controller import position_controllers
 from quadftc_control.reference import references
@@ -52,13 +52,26 @@ SENSORS: dict[str, tuple[type, Mapping[str, Mapping[str, Any]]]] = {
 KINDS = (*REGISTRIES, "sensors", "vehicles", "scenarios")
 
 
-def list_(kind: Annotated[str, Argument(help=" | ".join(KINDS) + "; default: all")] = "") -> None:
-    """Show what there is, with parameters, units and defaults."""
+def list_(kind: Annotated[str, Argument(help=" | ".join(KINDS) + "; default: names of all")] = "") -> None:
+    """Show what there is, by name; of one kind with parameters, units and defaults."""
     if kind and kind not in KINDS:
         raise ValueError(f"list: no '{kind}'; there are: {', '.join(KINDS)}")
     tables = {"sensors": _sensors, "vehicles": _vehicles, "scenarios": _scenarios}
-    for each in [kind] if kind else KINDS:
-        console().print(tables[each]() if each in tables else _components(each))
+    if not kind:
+        console().print(_names())
+        return
+    console().print(tables[kind]() if kind in tables else _components(kind))
+
+
+def _names() -> Table:
+    """Tabulate the names of every kind."""
+    table = plain_table(("quadftc list", "names"), ())
+    table.columns[1].no_wrap = False
+    named = {kind: registry.names() for kind, registry in REGISTRIES.items()}
+    named |= {"sensors": tuple(SENSORS), "vehicles": vehicle_names(), "scenarios": scenario_names()}
+    for kind in KINDS:
+        table.add_row(kind, ", ".join(named[kind]))
+    return table
 
 
 def _components(kind: str) -> Table:

@@ -45,7 +45,9 @@ def diagnose(
     out: Annotated[
         Path | None,
         Option(
-            help="Directory of verdict.json and report.html; default: results/LOG-diagnosis.", metavar="DIR"
+            help="Page, with its verdict as .json beside it; or a directory for report.html and verdict.json;"
+            " default: results/LOG-diagnosis.",
+            metavar="FILE.html|DIR",
         ),
     ] = None,
     junit: Annotated[Path | None, Option(metavar="FILE", help="Write the verdict as JUnit XML, too.")] = None,
@@ -56,6 +58,7 @@ def diagnose(
     The exit code is 0 for a healthy flight, 1 with a finding, 4 if the log does not hold enough to say.
     """
     from quadftc_replay.inspection.diagnosis import (
+        VERDICT,
         DiagnosisOptions,
         diagnose_log,
         write_verdict,
@@ -76,12 +79,14 @@ def diagnose(
         inspection = diagnose_log(log, how, bars.add(log.resolve().name))
     verdict = inspection.verdict
     _show(verdict)
-    directory = out or Path("results", f"{log.resolve().name}-diagnosis")
-    written = [write_verdict(verdict, directory)]
+    place = out or Path("results", f"{log.resolve().name}-diagnosis")
+    page = options.page_at(place)
+    name = page.with_suffix(".json").name if page == place else VERDICT
+    written = [write_verdict(verdict, page.parent, name)]
     if report:
         from quadftc_report.verdict_page import write_page
 
-        written.append(write_page(inspection, directory))
+        written.append(write_page(inspection, page.parent, page.name))
     if junit is not None:
         written.append(write_verdict_junit(verdict, junit))
     say(f"written: {', '.join(map(str, written))}")

@@ -11,6 +11,11 @@ from typer import Option
 from quadftc_campaign.errors import CampaignError
 
 
+def page_at(out: Path) -> Path:
+    """Return the HTML file that ``--out`` means: itself by its suffix, else report.html in that directory."""
+    return out if out.suffix == ".html" else out / "report.html"
+
+
 def complete_scenario(incomplete: str) -> list[str]:
     """Complete the name of a scenario in the shell; a path is completed by the shell itself."""
     from quadftc_flight.scenario.files import scenario_names

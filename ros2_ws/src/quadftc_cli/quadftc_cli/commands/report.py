@@ -8,6 +8,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from quadftc_cli.commands import options
 from quadftc_cli.screen import Bars, console, say, warn
 
 
@@ -20,7 +21,8 @@ def report(
         ),
     ],
     out: Annotated[
-        Path, Option(help="The HTML file; an earlier one is replaced.", metavar="FILE.html")
+        Path,
+        Option(metavar="FILE.html|DIR", help="The page, or a directory for report.html; replaced."),
     ] = Path("report.html"),
     figures: Annotated[
         bool, Option(help="Write the figures as PNG and PDF, too, into a directory beside the page.")
@@ -45,6 +47,7 @@ def report(
     from quadftc_report.report import figures_beside, write_figures, write_report
     from quadftc_report.wording import counted, listing
 
+    out = options.page_at(out)
     with Bars(console()) as bars:
         update = bars.add("report")
 

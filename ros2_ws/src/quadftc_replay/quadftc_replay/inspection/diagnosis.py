@@ -72,10 +72,10 @@ def read_with_layout(path: Path, vehicle: str, choice: LogChoice = ONLY_ONE) -> 
     )
 
 
-def write_verdict(verdict: Verdict, directory: Path) -> Path:
-    """Write ``verdict.json``; an earlier one is replaced when the new one is whole."""
+def write_verdict(verdict: Verdict, directory: Path, name: str = VERDICT) -> Path:
+    """Write a verdict as JSON; an earlier one is replaced when the new one is whole."""
     directory.mkdir(parents=True, exist_ok=True)
-    return write_file(directory / VERDICT, verdict.model_dump_json(indent=2) + "\n")
+    return write_file(directory / name, verdict.model_dump_json(indent=2) + "\n")
 
 
 def write_verdict_junit(verdict: Verdict, path: Path) -> Path:
