@@ -78,10 +78,8 @@ class Program:
 
 def write_program(name: str, law: Any, functions: Mapping[str, Function], real: str = "double") -> Program:
     """Trace the functions of a law and write them in C; UntraceableError says where one cannot be traced."""
-    import jax
-
     numbers = numbers_of(law)
-    with jax.enable_x64(True):  # whatever this process computes in
+    with _in_double():  # whatever this process computes in
         traced = {key: _trace(f"{name}.{key}", law, numbers, each) for key, each in functions.items()}
     used = [
         path
@@ -89,6 +87,17 @@ def write_program(name: str, law: Any, functions: Mapping[str, Function], real: 
         if number.size and any(each.reads(k) for each in traced.values())
     ]
     return _Writer(name, law, numbers, used, real).write(traced)
+
+
+def _in_double() -> Any:
+    """Return a context in which JAX traces in double precision; its name has changed in JAX 0.8."""
+    import jax
+
+    if hasattr(jax, "enable_x64"):
+        return jax.enable_x64(True)
+    from jax.experimental import enable_x64
+
+    return enable_x64()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -255,6 +264,7 @@ class _Writer:
             n: with_real(layout_of(v), self._code)
             for n, v in zip(function.results, traced.results, strict=True)
         }
+        # parameters, and for each input of the graph the text that reads it
         name = f"{self._name}_{key}"
         parameters = [f"const {self._structs.name_of(self._layout, 'numbers')} *restrict numbers"]
         texts = ["" for _ in graph.inputs]
@@ -270,6 +280,7 @@ class _Writer:
             for text in _texts_of(layout, argument):
                 texts[at] = text
                 at += 1
+        # the same for the results
         outputs: list[str] = []
         for result, layout in results.items():
             kind = function.kinds.get(result, result)
@@ -286,6 +297,7 @@ class _Writer:
         )
         emitter.mark_unread()
         self._helpers |= emitter.helpers
+        # compilers are told of parameters that nothing reads
         unused = [each.split()[-1].lstrip("*") for each in parameters]
         body = "\n".join(emitter.lines)
         quiet = [
