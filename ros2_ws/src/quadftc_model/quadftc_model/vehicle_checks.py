@@ -21,6 +21,8 @@ SINK = 0.9  # 1; share of the weight that the slowest rotors may carry, else the
 INDEPENDENCE = 0.02  # 1; share of an axis' torque that must be left when thrust and other torques are held
 AGILITY = (1.0, 1.0, 0.1)  # rad/s²; least acceleration in hover: at 0.1 a turn by 90 deg takes 8 s
 GYRATION = (0.1, 1.5)  # 1; radius of gyration over that of the rotors; 0.4 to 0.9 are usual
+REACH = 15.0  # m; of the rotors from the centre: the largest that carry persons have 6
+PLACES = "rotors.positions"
 LAG = (5e-4, 0.5)  # s; of the rotors: 5 mm of a toy to 1 m of a carrier of persons
 ROTATION_DECAY = 0.02  # s; least time constant of a free rotation; rotors damp with seconds
 DRIFT_DECAY = 0.2  # s; least time constant by which rotor drag stops the vehicle; 4 to 10 are usual
@@ -37,18 +39,19 @@ class _ImpossibleError(Exception):
 def impossible(vehicle: Vehicle) -> list[Problem]:
     """Return what keeps a vehicle from being or flying; its numbers are known to have signs and shapes.
 
-    What follows from another problem is not told: without three torques there is no hover.
+    What follows from another problem is not told: without three torques there is no hover, and by a wrong
+    mass or place the moments are judged wrongly.
     """
-    for check in (_check_signs, _check_independence):
-        if (problem := _problem_of(check, vehicle)) is not None:
-            return [problem]
-    found: list[Problem | None] = []
-    for check in (_check_thrust, _check_inertia, _check_hover):  # the mass is in all three
-        found.append(_problem_of(check, vehicle))
-        if found[-1] is not None:
-            break
-    found += [_problem_of(check, vehicle) for check in (_check_times, _check_places)]
-    return [problem for problem in found if problem is not None]
+    layout = _first_problem((_check_signs, _check_independence), vehicle)
+    body = _first_problem((_check_reach, _check_thrust, _check_inertia), vehicle)
+    hover = [] if layout or body else _first_problem((_check_hover,), vehicle)
+    sizes = [] if body and body[0].key == PLACES else _first_problem((_check_places,), vehicle)
+    return [*layout, *body, *hover, *_first_problem((_check_times,), vehicle), *sizes]
+
+
+def _first_problem(checks: tuple[Callable[[Vehicle], None], ...], vehicle: Vehicle) -> list[Problem]:
+    found = (_problem_of(check, vehicle) for check in checks)
+    return [problem for problem in found if problem is not None][:1]
 
 
 def _problem_of(check: Callable[[Vehicle], None], vehicle: Vehicle) -> Problem | None:
@@ -100,6 +103,14 @@ def _apart_from_others(rows: Floats, index: int) -> float:
     """Share of a unit row that the other rows do not span."""
     others, row = np.delete(rows, index, axis=0), rows[index]
     return float(np.linalg.norm(row - row @ np.linalg.pinv(others) @ others))
+
+
+def _check_reach(vehicle: Vehicle) -> None:
+    """The rotors are where a multirotor has them."""
+    if (reach := _reach(vehicle)) > REACH:
+        millimetres = f"; {reach:g} mm are {1e-3 * reach:g} m" if 1e-3 * reach <= REACH else ""
+        why = f"a rotor {reach:.3g} m from the centre: expected within {REACH:g} m{millimetres}"
+        _refuse(PLACES, vehicle.rotors.positions, why)
 
 
 def _check_thrust(vehicle: Vehicle) -> None:

@@ -35,6 +35,10 @@ IMPOSSIBLE = {
         {"mass": 2.14},
         r"^mass = 2.14: .* thrust to weight 1.14: expected within \[1.15, 50\]",
     ),
+    "places in mm": (
+        {"rotors": {"positions": 1e3 * QBALL.rotors.positions}},
+        r"^rotors.positions = .*: a rotor 2\d\d m from the centre: expected within 15 m; 2.* mm are 0.2",
+    ),
     "too light": ({"mass": 0.014}, r"^mass = 0.014: .*: expected within"),
     "cannot sink": (
         {"rotors": {"command_idle": 0.0}},
@@ -160,3 +164,11 @@ def test_vehicles_of_other_size_fly_by_the_laws_of_scale(name, scale):
         },
         aerodynamics={"rotor_drag": vehicle.aerodynamics.rotor_drag * cube, "drag_area": np.zeros(3)},
     )
+
+
+def test_what_is_wrong_apart_from_each_other_is_told_at_once():
+    with pytest.raises(ValueError, match="mass") as refused:
+        with_parts(mass=1500.0, rotors={"yaw_sign": SIGNS * 0.0 + 1.0, "time_constant": 25.0})
+    assert [line.split()[0] for line in str(refused.value).splitlines()] == [
+        *("rotors.yaw_sign", "mass", "rotors.time_constant"),
+    ]

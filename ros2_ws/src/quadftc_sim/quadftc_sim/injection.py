@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_model.hints import nearest
 from quadftc_model.parameters import build, parameters_of
 from quadftc_model.registry import Registry
 from quadftc_model.units import quantity
@@ -84,6 +85,10 @@ def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0, rotor
     mask = _rotor_mask(kind, values, rotors) if channel == ROTOR else _mask(kind, fault, values)
     window = _window(values, now)
     own = {name: value for name, value in values.items() if name not in RESERVED}
+    known = [*(spec.name for spec in parameters_of(fault)), *RESERVED]
+    for name in own:
+        if name not in known:
+            raise ValueError(f"{name}: unknown parameter{nearest(name, known)}; known: {', '.join(known)}")
     return Injection(kind, channel, mask, *window, build(fault, own, units=CHANNEL_UNITS[channel]))
 
 
