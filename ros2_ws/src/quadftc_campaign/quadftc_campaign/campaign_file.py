@@ -198,6 +198,7 @@ def load_campaign(
     except ValidationError as error:
         raise document.error(problems_of(error, _model_at)) from None
     base, scenario = _read_scenario(document, keys)
+    # what contradicts the source of the samples
     problems, bags = [*_find_unknown_parts(keys, scenario)], tuple[Path, ...]()
     is_loop = keys.source.kind == "loop"
     if engine == JAX and not is_loop:
@@ -213,6 +214,7 @@ def load_campaign(
         said = f"{directory}: holds no bag" if named else "no directory is named"
         wrong = Problem(("source", "directory"), f"{said}; expected rosbag2 bags (--recordings)")
         problems += [] if bags else [wrong]
+    # paths with a star become one for each fault; schemes, observers and controllers are crossed
     given: dict[str, Any] = dict(keys)
     given |= {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
     given |= {"vary": _expand_paths(keys, base, problems), "variants": _variants(keys, scenario)}

@@ -104,6 +104,7 @@ def _fold_in_loops(
     shape = node.shape
     long = [k for k, n in enumerate(shape) if n != 1]
     row = long[-1] if long else -1
+    # loops around: all axes of the result but the last
     around, names = {k: emitter.name("i") for k in long[:-1]}, [emitter.name("j") for _ in count]
     for k, name in around.items():
         emitter.open(f"for (int {name} = 0; {name} < {shape[k]}; {name}++)")
@@ -122,6 +123,7 @@ def _fold_in_loops(
         total = combine(op, node.dtype, so_far, term(at_row(at), [variable(name) for name in names]))
         return emitter.put(storage, shape, at_row(at), total)
 
+    # the first term begins the sum, the others are added in the order of their indices
     loop = one_row[row] > FEW if long else False
     emitter.each(one_row, start, loop=loop)
     for number, (name, n) in enumerate(zip(names, count, strict=True)):

@@ -248,6 +248,7 @@ class ClosedLoop:
     ) -> LoopState:
         """Run the avionics over a sample that comes."""
         clock, times = calls.step("clock", state.clock, inputs.number, 1.0)
+        # the command of the sample before led to this one
         sample, before, dt = state.faulty.sample, state.said.attitude.said, times.dt
         torque = before.output.torque
         measured = np.True_ if self.flies else None
@@ -261,6 +262,7 @@ class ClosedLoop:
         effectiveness = self._all_there
         if known is not None:
             _, effectiveness = calls.step("trust", (), known, 1.0)
+        # what follows flies on the corrected sample
         rate = DisturbanceObservationInputs(corrected, torque)
         disturbance_observer, disturbance = calls.step(
             "disturbance_observer", state.disturbance_observer, rate, dt
@@ -270,6 +272,7 @@ class ClosedLoop:
             wanted = FlightGuidanceInputs(corrected, motion.position or NO_PLACE, times.elapsed)
         guidance, guided = calls.step("guidance", state.guidance, wanted, dt)
         said = Said(estimate, disturbance, guided, state.said.attitude)
+        # the torque wanted; in free flight the speeds for it, by what the rotors still give
         loop = AttitudeLoopInputs(corrected, said.command, disturbance.said, torque)
         if self.flies:
             loop = loop._replace(speeds=speeds, measured=measured, effectiveness=effectiveness)

@@ -47,6 +47,7 @@ def flight_metrics(
     time = flight.time
     tracking = np.degrees(wrap(flight.angles - flight.reference))
     estimate = np.degrees(wrap(flight.fault_estimate - flight.fault))
+    # when a fault acts, and when the estimate has had time to settle since one began or ended
     inside = _within(time, windows)
     moments = {moment for window in windows for moment in (window.start, window.stop)}
     tilt, error = _tilt(flight.angles), attitude_error(flight)
@@ -73,7 +74,7 @@ def flight_metrics(
         "max_tilt_deg": largest(np.degrees(tilt)),
         "attitude_error_rms_deg": rms(error),
         "attitude_error_max_deg": largest(error),
-        "lost": _is_lost(flight, tilt),
+        "lost": bool(np.any(lost_rows(flight))),
         "diagnosis": diagnosis_metrics(flight, events_of_windows(windows) if events is None else events),
         "sensors": sensor_metrics(flight, events or (), judged),
         **rotors,
@@ -130,11 +131,11 @@ def _distance(place: Floats, other: Floats) -> Floats:
     return np.linalg.norm(place - other, axis=1)
 
 
-def _is_lost(flight: Flight, tilt: Floats) -> bool:
-    """Whether the vehicle once tilts by `LOST` where its reference does not, or an angle is off by that."""
-    tilted = (tilt > LOST) & ~(_tilt(flight.reference) > LOST)
+def lost_rows(flight: Flight) -> Mask:
+    """Where (n,) the vehicle tilts by `LOST` and its reference does not, or an angle is off by that."""
+    tilted = (_tilt(flight.angles) > LOST) & ~(_tilt(flight.reference) > LOST)
     off = np.abs(wrap(flight.angles - flight.reference)) > LOST
-    return bool(np.any(tilted) or np.any(off))
+    return np.asarray(tilted | np.any(off, axis=1), np.bool_)
 
 
 def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Floats) -> dict[str, Any]:

@@ -42,6 +42,7 @@ def page_rows(vehicle: Vehicle) -> list[Row]:
     """Return what follows from a vehicle's numbers."""
     rotors, air = vehicle.rotors, vehicle.aerodynamics
     agility = vehicle.authority / vehicle.inertia
+    # in which a free rotation dies by 1/e
     decay = [
         f"{axis} {inertia / drag:.2g} s" if drag > 0.0 else f"{axis} never"
         for axis, inertia, drag in zip(AXES, vehicle.inertia, vehicle.rotational_drag, strict=True)

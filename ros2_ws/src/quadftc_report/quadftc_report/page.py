@@ -111,6 +111,7 @@ def render(
     ``folder`` holds the figures for print, beside the page; None: there are none.
     """
     runs = [run for part in (*parts, *replayed) for run in part.comparison.runs]
+    # the page begins with the comparison that shows most
     headlines = [(part, headline(part.comparison)) for part in (*parts, *replayed)]
     shown, clearest = max(headlines, key=lambda pair: pair[1].contrast)
     picture = clearest.picture()

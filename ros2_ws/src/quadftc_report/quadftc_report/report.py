@@ -62,6 +62,7 @@ def write_report(
     (PNG, PDF). ``tables``: a directory that gets the metrics as CSV and LaTeX. ``progress`` is called with
     the current task and the share of the work that is done.
     """
+    # refuse a place before anything is read or drawn
     folder = figures_beside(out)
     _check_place(out, folder)
     if tables is not None:
@@ -74,6 +75,7 @@ def write_report(
     page = render(found.flown, found.warnings, found.replayed, folder.name if with_figures else None)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
+        # beside the target, then moved: a report that fails leaves the old one as it is
         with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=out.parent) as name:
             made = Path(name, out.name)
             made.write_text(page, encoding="utf-8")

@@ -429,6 +429,7 @@ def _tally_rotors(inputs: JudgeInputs, motion: Motion, schedule: Schedule, last:
     if rotors is None or said is None or inputs.place is None or last.rotors_named is None:
         return {}, {}, {}, {}, {}
     xp, there, time = namespace(inputs.torque), inputs.delivered, inputs.time
+    # which rotors are named, and where that, or naming a sensor, is wrong
     named = name_rotors(said.state, said.ambiguous)
     inside, faulty, healthy = _truth(inputs, rotors)
     _, sensor_faulty, sensor_healthy = _truth(inputs, schedule)
@@ -437,6 +438,7 @@ def _tally_rotors(inputs: JudgeInputs, motion: Motion, schedule: Schedule, last:
     misnamed = wrong.any(axis=-1) | (of_sensors & sensor_healthy).any(axis=(-2, -1))
     counted = xp.all(faulty | healthy, axis=-1) & xp.all(sensor_faulty | sensor_healthy, axis=(-2, -1))
     any_sensor = (sensor_faulty.any(axis=(-2, -1)), of_sensors.any(axis=(-2, -1)))
+    # the size counts once the diagnosis has had `SIZE_TIME`, the place all the time
     settled = inside & (time >= rotors.start + SIZE_TIME)
     error = xp.abs(said.effectiveness - true_effectiveness(said.condition))
     away = ((motion.position - inputs.place.reference) ** 2).sum(axis=-1)

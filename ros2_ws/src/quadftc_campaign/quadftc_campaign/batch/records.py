@@ -64,6 +64,7 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
         "attitude_error_rms_deg": np.degrees(np.sqrt(_mean(sums["tracking"].sum(), sums["delivered"]))),
         "attitude_error_max_deg": np.degrees(_if(sums["delivered"] > 0.0, marks["error"])),
     }
+    # a flight whose numbers are not finite any more counts as lost
     unusable = bool(marks["unusable"] or marks.get("astray"))
     record: dict[str, Any] = {
         "finite": not (unusable or marks["restarted"]),

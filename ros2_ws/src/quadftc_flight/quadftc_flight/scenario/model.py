@@ -297,6 +297,7 @@ def node_parameters(
     def with_vehicle(selector: str, part: Part) -> dict[str, NodeValue]:
         return {"vehicle": scenario.vehicle, selector: part.kind, **node_values(part.law, part.kind)}
 
+    # on the test stand; in free flight `_flying` adds what only it has
     nodes = {
         "plant": {
             "plant": plants.name_of(type(scenario.plant)),

@@ -65,6 +65,7 @@ def main() -> int:
             sys.stdout.write(f"{stage}\n")
             sys.stdout.flush()
 
+    # what is wrong with the log is the last line, without its path
     enter(STAGES[0])
     try:
         options = DiagnosisOptions(choice=LogChoice(asked.number, asked.system, asked.mapping))
