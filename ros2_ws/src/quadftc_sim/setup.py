@@ -26,6 +26,7 @@ setup(
             "plant = quadftc_sim.executables:plant",
             "fault_injector = quadftc_sim.executables:fault_injector",
             "ardupilot_backend = quadftc_sim.executables:ardupilot_backend",
+            "betaflight_backend = quadftc_sim.executables:betaflight_backend",
         ],
     },
 )

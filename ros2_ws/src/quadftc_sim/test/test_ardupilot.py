@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle import load_vehicle
-from quadftc_sim.ardupilot import ArduPilotPhysics, ned_attitude, read_servos, rotor_speeds
+from quadftc_sim.ardupilot import ArduPilotPhysics, read_servos, rotor_speeds
 from quadftc_sim.ardupilot_backend_node import ArduPilotBackendNode
 from quadftc_sim.assembly import injection_from, simulator_from
+from quadftc_sim.autopilot import ned_attitude
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.sensors import GRADES
 from wired_node import Wired

@@ -1,0 +1,137 @@
+"""A plant as the physics of an autopilot's simulation, whatever its packets are.
+
+Autopilots count along north, east, down and forward, right, down; here it is east, north, up and forward,
+left, up.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadftc_model.arrays import Array, Components, Quaternion, Vector
+from quadftc_model.rotations import quaternion_product
+from quadftc_model.samples import ImuSample, level_sample, sanitised
+from quadftc_model.vehicle import Vehicle
+from quadftc_sim.injector import FaultInjector, Faulty
+from quadftc_sim.simulator import Emission, Simulator
+from quadftc_sim.vehicle_simulation import FreeMotion
+
+NED_OF_ENU = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])  # x, y, z, w: half a turn about north-east
+FLU_OF_FRD = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about the nose
+
+
+def to_ned(vector: Vector) -> Vector:
+    """A vector (3,) along east, north, up, along north, east, down."""
+    return np.array([vector[1], vector[0], -vector[2]])
+
+
+def to_frd(vector: Vector) -> Vector:
+    """A vector (3,) along forward, left, up, along forward, right, down."""
+    return np.array([vector[0], -vector[1], -vector[2]])
+
+
+def ned_attitude(q_xyzw: Quaternion) -> Quaternion:
+    """Attitude, body to earth in our axes, in the autopilots' axes and order: w, x, y, z."""
+    x, y, z, w = quaternion_product(NED_OF_ENU, quaternion_product(q_xyzw, FLU_OF_FRD))
+    return np.array([w, x, y, z])
+
+
+def speeds_of_shares(vehicle: Vehicle, shares: Sequence[float] | Array) -> Components:
+    """Speeds [rad/s] that shares of the largest ask of the rotors, within their range."""
+    rotors = vehicle.rotors
+    return np.clip(rotors.speed_max * np.asarray(shares), rotors.speed_min, rotors.speed_max)
+
+
+class Shown(NamedTuple):
+    """What was answered last."""
+
+    emission: Emission
+    injected: Faulty | None  # the sample with its faults; None: it is on its way
+    line: bytes
+    command: Components | None  # rotor speeds under which it flew here [rad/s]; None: it begins here
+
+
+class AutopilotPhysics:
+    """Answers an autopilot's packets one by one, and counts what is wrong with them.
+
+    ``make_simulator(rate)`` makes a vehicle at a rate [Hz], ``make_injector()`` its faults; both anew when
+    the autopilot restarts. Faults put on before it starts stay.
+    """
+
+    def __init__(
+        self, make_simulator: Callable[[float], Simulator], make_injector: Callable[[], FaultInjector]
+    ) -> None:
+        self._make_simulator, self._make_injector = make_simulator, make_injector
+        self._simulator: Simulator | None = None
+        self._injector = make_injector()
+        self._sample = level_sample()
+        self.shown: Shown | None = None
+        self.flights = 0  # how often a flight has begun
+        self.counts: Counter[str] = Counter()  # packets by the field that was wrong
+        self.complaint = ""  # about the last that was refused
+
+    @property
+    def heard(self) -> bool:
+        """Whether the autopilot has said what it asks of the rotors, since the flight began."""
+        return self.shown is not None and self.shown.command is not None
+
+    def answer(self, data: bytes, sender: Any = None) -> bytes | None:
+        """Fly one period under the outputs of a packet; return the state; None for no such packet."""
+        raise NotImplementedError
+
+    def encode(self, time: float, sample: ImuSample, motion: FreeMotion) -> bytes:
+        """Write a state: what the IMU says at a time [s], and where the vehicle is."""
+        raise NotImplementedError
+
+    def refuse(self, error: ValueError) -> None:
+        """Count a packet that is none; the error begins with the field that is wrong."""
+        self.counts[str(error).partition(":")[0]] += 1
+        self.complaint = str(error)
+
+    def begin(self, rate: float) -> Shown:
+        """Begin a flight at a rate [Hz]; return its first state."""
+        if self._simulator is not None:
+            self._injector, self._sample = self._make_injector(), level_sample()
+        self._simulator = self._make_simulator(rate)
+        self.flights += 1
+        return self._show(self._simulator.start(), self._simulator, None)
+
+    def fly(self, command: Components, simulator: Simulator) -> Shown:
+        """Fly one period under rotor speeds [rad/s]; return the state at its end."""
+        return self._show(simulator.advance(command), simulator, command)
+
+    def _show(self, emission: Emission, simulator: Simulator, command: Components | None) -> Shown:
+        """Put the faults on a sample and on the rotors.
+
+        Autopilots need all samples, so a value stays until the next one comes.
+        """
+        injected = None
+        if emission.sample is not None:
+            injected = self._injector.apply(emission.sample_stamp_ns, emission.sample)
+            self._sample = held(injected, self._sample)
+            simulator.set_rotors(injected.rotors)
+        motion = emission.flight
+        assert motion is not None
+        line = self.encode(simulator.time, self._sample, motion)
+        self.shown = Shown(emission, injected, line, command)
+        return self.shown
+
+
+def held(injected: Faulty, last: ImuSample) -> ImuSample:
+    """A sample in which every channel that is absent has its last value."""
+    if not injected.present:
+        return last
+    new = sanitised(injected.sample)
+
+    def channel(valid: Array, name: str) -> Array:
+        return getattr(new if valid else last, name)
+
+    return level_sample()._replace(
+        q_xyzw=channel(new.attitude_valid, "q_xyzw"),
+        body_rate=channel(new.rate_valid, "body_rate"),
+        specific_force=channel(new.force_valid, "specific_force"),
+    )
