@@ -28,11 +28,11 @@ def watch(
 
     On a terminal a picture that is redrawn, elsewhere a line each second.
     """
-    from quadftc_cli.live import ARDUPILOT, CONTROLLER, OBSERVER, LiveGraph  # starts ROS
+    from quadftc_cli.live import AUTOPILOTS, CONTROLLER, OBSERVER, LiveGraph  # starts ROS
     from quadftc_cli.view import TOPICS, View
 
     with LiveGraph(namespace) as graph, contextlib.suppress(KeyboardInterrupt):
-        graph.choose_vehicle(CONTROLLER, ARDUPILOT, OBSERVER)
+        graph.choose_vehicle(CONTROLLER, *AUTOPILOTS, OBSERVER)
         view = View(graph.namespace or "vehicle")
         for topic in TOPICS:
             graph.listen(topic, lambda message, topic=topic: view.take(topic, message, time.monotonic()))

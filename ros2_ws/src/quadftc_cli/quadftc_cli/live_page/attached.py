@@ -13,7 +13,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from quadftc_bags.interfaces import load_message_class
-from quadftc_cli.live import ARDUPILOT, CONTROLLER, OBSERVER, LiveGraph
+from quadftc_cli.live import AUTOPILOTS, CONTROLLER, OBSERVER, LiveGraph
 from quadftc_cli.live_page.feed import DIAGNOSTICS, GUIDANCE, Feed, shown_topics
 from quadftc_flight.graph.plan import SLICE, GraphError
 from quadftc_model.rotations import euler_from_quaternion
@@ -25,8 +25,8 @@ ALL = QoSProfile(depth=100)
 
 def page_of_running(graph: LiveGraph) -> dict[str, Any]:
     """Ask the nodes what flies; return the fields of `page.Flown`. A GraphError says who does not answer."""
-    if graph.choose_vehicle(CONTROLLER, ARDUPILOT) == ARDUPILOT:
-        return _page_of_ardupilot(graph)
+    if (pilot := graph.choose_vehicle(CONTROLLER, *AUTOPILOTS)) in AUTOPILOTS:
+        return _page_of_autopilot(graph, AUTOPILOTS[pilot])
     vehicle, plant, controller = _values(graph, "controller", "vehicle", "plant_kind", "controller")
     (observer,) = _values(graph, "fault_observer", "observer")
     (source,) = _values(graph, GUIDANCE[plant], "source")
@@ -41,13 +41,13 @@ def page_of_running(graph: LiveGraph) -> dict[str, Any]:
     }
 
 
-def _page_of_ardupilot(graph: LiveGraph) -> dict[str, Any]:
-    """Return the fields of `page.Flown` where ArduPilot flies our physics: it takes no setpoints from us."""
-    (vehicle,) = _values(graph, "ardupilot_backend", "vehicle")
+def _page_of_autopilot(graph: LiveGraph, name: str) -> dict[str, Any]:
+    """Return the fields of `page.Flown` where an autopilot flies: it takes no setpoints from us."""
+    (vehicle,) = _values(graph, f"{name.lower()}_backend", "vehicle")
     observer = _values(graph, "fault_observer", "observer")[0] if graph.offers(OBSERVER) else "none"
     return {
         "title": f"Attached to {graph.namespace or 'what flies'}",
-        "parts": f"{Path(vehicle).stem}, observer {observer}, flown by ArduPilot",
+        "parts": f"{Path(vehicle).stem}, observer {observer}, flown by {name}",
         "vehicle": vehicle,
         "plant": "free_flight",
         "namespace": graph.namespace,
