@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,8 @@ from quadftc_cli.metric_table import diagnosis_table, fitting, heading, text
 from quadftc_cli.screen import Bars, console, plain_table
 from quadftc_flight.checks import refuse_wrong_checks
 from quadftc_flight.loop_run import run_loop
+from quadftc_flight.loss import loss_story, lost_at
+from quadftc_flight.run_directory import read_run
 from quadftc_flight.run_files import RunError, prepare, run_name, write_summary
 from quadftc_flight.scenario import (
     Scenario,
@@ -140,13 +143,22 @@ def show_runs(summaries: list[dict[str, Any]], out: Path, screen: Console, junit
     _print_tables(summaries, screen)
     for item in summaries:
         if item["metrics"]["lost"]:
-            screen.print(f"[red]LOST[/] {item['name']}-{item['scheme']}: tilted or off by more than 60 deg")
+            _print_loss(item, out, screen)
         if (other := item.get("without_diagnosis")) and (ratio := other["attitude_error_max_deg_ratio"]):
             error = f"largest attitude error {ratio:.2g} times that of '{other['scheme']}'"
             screen.print(f"{item['name']}-{item['scheme']}: {error}")
     screen.print(f"bags and summaries: {out}")
     checks = {f"{item['name']}-{item['scheme']}": item["checks"] for item in summaries}
     return judge(checks, screen, junit, "run")
+
+
+def _print_loss(item: Mapping[str, Any], out: Path, screen: Console) -> None:
+    """Say when a flight was lost, what led there, and how to fly only up to there."""
+    flight = read_run(out / item["bag"]).flight
+    screen.print(f"[red]LOST[/] {item['name']}-{item['scheme']}: {loss_story(flight)}", markup=True)
+    if (end := lost_at(flight)) is not None:
+        again = f"quadftc run {item['name']} --scheme {item['scheme']} --set duration={math.ceil(end) + 1}s"
+        screen.print(f"  up to there alone: {again}; without diagnosis: add --observer none")
 
 
 def _print_tables(summaries: Sequence[Mapping[str, Any]], screen: Console) -> None:

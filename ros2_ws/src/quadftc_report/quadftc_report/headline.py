@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from quadftc_flight.loss import loss_story
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report.comparison import Comparison, axis_metric, controls, has_observer, metric
@@ -117,7 +118,7 @@ def _degrees(angle: float) -> str:
 def _held(run: Recorded) -> str:
     """How well the vehicle flew; of a replay, how well its attitude is known."""
     if metric(run, "lost"):
-        return "LOSES the vehicle"
+        return f"LOSES the vehicle ({loss_story(run.flight)})"
     if isinstance(run, RecordedReplay):
         size = max(each or 0.0 for each in axis_metric(run, "fault_max_deg").values())
         return f"is off by {_degrees(_error(run))} at most, under faults of up to {_degrees(size)}"
