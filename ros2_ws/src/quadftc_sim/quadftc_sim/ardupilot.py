@@ -17,12 +17,10 @@ from quadftc_model.arrays import Components
 from quadftc_model.samples import ImuSample
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.assembly import period_ns
-from quadftc_sim.autopilot import AutopilotPhysics, Shown, ned_attitude, speeds_of_shares, to_frd, to_ned
+from quadftc_sim.autopilot import AutopilotPhysics, ned_attitude, speeds_of_shares, to_frd, to_ned
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.simulator import Simulator
 from quadftc_sim.vehicle_simulation import FreeMotion
-
-__all__ = ["ArduPilotPhysics", "ServoPacket", "Shown", "read_servos", "rotor_speeds"]
 
 HEADER = struct.Struct("<HHI")  # magic, frame_rate [Hz], frame_count
 CHANNELS = {18458: 16, 29569: 32}  # magic -> numbers of pwm that follow, uint16 [us]
