@@ -219,7 +219,7 @@ class Isolating(Supervised):
         new, abrupt = attitude.faulty & ~state.attitude.faulty, attitude.track.still < 1.0
         vote = namespace(fault).zeros_like(fault)
         if flight is not None:
-            flight = free_flight.follow_tilt(flight, fault, estimate.onset_age, new, abrupt, dt)
+            flight = free_flight.follow_tilt(flight, fault, estimate.onset_age, new, dt)
             vote = free_flight.vote(flight, judged.accelerometer, fault, estimate.std_dev)
         trace, rate = monitor.trace, monitor.filter.rate
         led = new & any_of(monitor.faulty & (monitor.fault.age < LED)) & (abs(fault) < SMALL)
@@ -288,7 +288,7 @@ class Isolating(Supervised):
         )
         # judge
         known = noise[..., GYRO], readings.suspicion[..., GYRO], there[..., GYRO]
-        gyro = GyroReading(omega, *known, wanted, *verdict.of(GYRO))
+        gyro = GyroReading(omega, *known, wanted, *verdict.of(GYRO)[:3])
         attitude = self._attitude_reading(imu, before, there[..., ATTITUDE], dt)
         monitor, white, taught = gyro_monitor.step_monitor(state.gyro, ahead, gyro, attitude, dt)
         force = (

@@ -54,10 +54,8 @@ OFF = 0.6  # m/s²; of b: an attitude that is 3.5 deg off and looks healthy
 EARLY, LEARNED = 0.3, 20.0  # s; over which b in healthy flight is learned, at first and later
 NEEDED = 2.0  # s; of learning, before b counts against attitude and gyro
 LEAST = 0.012  # m/s²; of b in healthy flight, 1 sigma at least: 0.07 deg
-APART, CLOSE = 0.25, 0.1  # m/s²; by which a healthy accelerometer may be off without, with a position
+APART = 0.25  # m/s²; by which a healthy accelerometer may be off
 PULL, LOOSE = 0.5, 0.3  # s, m/s²/sqrt(s); how b is followed where the accelerometer is faulty
-GROWN = 2.0  # 1; lags of b for which an attitude fault has grown, at least, when it is found
-ROUGHLY = 0.3  # 1; of what is not yet due of a tilt error, 1 sigma of what is due
 FINAL = 30.0  # 1; bound of log-odds
 TILTS = np.array([True, True, False])  # of which the position says something
 
@@ -137,9 +135,8 @@ def step_flight(
     late, alarm = far & ~monitor.faulty, ~monitor.faulty & (verdict.stuck | verdict.odd | far)
     moved = where(late, deviation - excess, 0.0)
     off, alive = deviation - moved, there & ~verdict.stuck
-    close = noise + where(known, CLOSE**2 + column(_bias_variance(motion)), APART**2)
     faulty, fault = reading_test.follow_deviation(
-        monitor.fault, monitor.faulty | alarm, alarm, alive, suspicion, off, noise, close, dt
+        monitor.fault, monitor.faulty | alarm, alarm, alive, suspicion, off, noise, noise + APART**2, dt
     )
     # b pulls the offset of a faulty one
     pulled = monitor.offset + moved + (dt / PULL) * where(faulty & known, off - excess, 0.0)
@@ -150,16 +147,10 @@ def step_flight(
     return after, monitor, used & ~alarm
 
 
-def follow_tilt(
-    state: FreeFlight, fault: Vector, age: Vector, new: Mask, abrupt: Mask, dt: Scalar
-) -> FreeFlight:
-    """Follow what b shows of attitude faults [rad] of an age [s].
-
-    ``new`` ones have grown evenly so far. Unless they are ``abrupt``, that was for `GROWN` lags at least: a
-    slow fault is found late.
-    """
+def follow_tilt(state: FreeFlight, fault: Vector, age: Vector, new: Mask, dt: Scalar) -> FreeFlight:
+    """Follow what b shows of attitude faults [rad] of an age [s]. ``new`` ones have grown evenly so far."""
     lag = column(_bias_variance(state.motion)) / WALK**2
-    ago = larger(age, where(abrupt, dt, GROWN * lag))
+    ago = larger(age, dt)
     grown = fault * (1.0 - lag / ago * (1.0 - exp(-ago / lag)))
     return state._replace(due=where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due)))
 
@@ -173,10 +164,9 @@ def vote(state: FreeFlight, monitor: AccelerometerMonitor, fault: Vector, std_de
     sx, sy, _ = components(state.spread / STANDARD_GRAVITY**2)
     none = namespace(x).zeros_like(x)
     tilt, size, spread = stacked([-y, x, none]), state.due, stacked([sy, sx, none])
-    unsure = std_dev * std_dev + (ROUGHLY * (fault - state.due)) ** 2
     counts = _known(state.motion) & (state.learned > NEEDED) & ~any_of(monitor.faulty)[..., 0]
     own = (LEAST / STANDARD_GRAVITY) ** 2 + spread
-    both = own + unsure
+    both = own + std_dev * std_dev
     said = (tilt - size) ** 2 / both - tilt**2 / own + log(both / own)
     return where(column(counts) & TILTS, clip(0.5 * said, -FINAL, FINAL), 0.0)
 
