@@ -95,7 +95,8 @@ def judge(name: str, told: dict[str, int], bag: Bag) -> Trial:
     largest = float(np.max(errors[truth.log_time_ns >= begin_ns], initial=0.0))
     times = [log_time_ns for log_time_ns, status in _statuses(bag) if _names(status, topic)]
     named = (min(times) - begin_ns) / NANOSECONDS if times else np.inf
-    counts = [int(pair.value) for _, status in _statuses(bag) for pair in status.values if topic in pair.key]
+    told_counts = (status.values for _, status in _statuses(bag) if status.name.endswith(": samples"))
+    counts = [int(pair.value) for values in told_counts for pair in values if topic in pair.key]
     wrong = [f"attitude off by {largest:.1f} deg"] * (not largest <= LARGEST)
     wrong += [f"named after {named:.2f} s"] * (named > SOON)
     return Trial(name, told["sent"], largest, named, max(counts, default=0), "; ".join(wrong))
@@ -109,7 +110,11 @@ def _names(status: Any, topic: str) -> bool:
             and f"{topic}: " in status.message
             and f"/{NAME} publishes" in status.message
         )
-    return status.level == WARN and any(topic in pair.key for pair in status.values)
+    return (
+        status.level == WARN
+        and status.name.endswith(": samples")
+        and any(topic in pair.key for pair in status.values)
+    )
 
 
 def _statuses(bag: Bag) -> Iterator[tuple[int, Any]]:

@@ -22,10 +22,13 @@ BY_PROFILE = "SYSTEM_DEFAULT"  # the range with which Fast DDS goes by its profi
 
 def stay_local(environment: MutableMapping[str, str] = os.environ) -> None:
     """Keep to this machine, unless a range is set."""
-    if environment.get(RANGE) and not is_bound(environment):
+    asked = environment.get(RANGE) and not is_bound(environment)
+    if environment.get(PROFILE) == str(LOOPBACK):
+        del environment[PROFILE]  # of a shell that env.sh has set up, and that may ask for more since
+    if asked:
         return
     fast = (environment.get(MIDDLEWARE) or "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
-    if fast and environment.get(PROFILE) in (None, "", str(LOOPBACK)) and LOOPBACK.is_file():
+    if fast and not environment.get(PROFILE) and LOOPBACK.is_file():
         environment[RANGE], environment[PROFILE] = BY_PROFILE, str(LOOPBACK)
     else:  # another middleware, or a profile of the user's own
         environment[RANGE] = "LOCALHOST"

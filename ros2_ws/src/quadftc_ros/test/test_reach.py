@@ -46,6 +46,7 @@ def test_all_sockets_of_a_node_are_on_the_loopback():
         ({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}, True, "SYSTEM_DEFAULT"),
         ({PROFILE: "mine.xml"}, False, "LOCALHOST"),
         ({RANGE: "SUBNET"}, False, "SUBNET"),
+        ({RANGE: "SUBNET", PROFILE: str(LOOPBACK)}, False, "SUBNET"),
         (
             {RANGE: "SYSTEM_DEFAULT", PROFILE: str(LOOPBACK), "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"},
             False,
@@ -57,6 +58,7 @@ def test_profile_is_for_fast_dds_and_who_asks_for_none(given, bound, wanted):
     environment = dict(given)
     stay_local(environment)
     assert (is_bound(environment), environment[RANGE]) == (bound, wanted)
+    assert (environment.get(PROFILE) == str(LOOPBACK)) == bound
     if len(given) < 2:  # the shell says the same
         names = (RANGE, PROFILE, "RMW_IMPLEMENTATION")
         clean = {key: value for key, value in os.environ.items() if key not in names}
