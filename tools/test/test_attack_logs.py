@@ -21,8 +21,10 @@ from quadftc_bags.bag import BagError
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.readers import LogChoice, read_log
+from quadftc_tools.attack.command import BEGIN, END
 from quadftc_tools.attack.flight_table import TEXTS, hover, spoiled, spoils
 from quadftc_tools.attack.logs import MAPPING, WRITERS, blackbox
+from quadftc_tools.attack.table import ATTACKS, LONG
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers that overflow on the way
 EXAMPLES = settings().max_examples // 2  # 20; with --examples 2000 a thousand
@@ -169,3 +171,13 @@ def test_type_that_holds_itself_or_too_much_is_refused_in_a_line(name, tmp_path)
     path.write_bytes(out.getvalue())
     with pytest.raises(BagError, match="log without a usable signal"):
         read_log(path)
+
+
+def test_documented_attacks_are_those_of_the_command():
+    page = (Path(__file__).parents[2] / "docs" / "security.md").read_text(encoding="utf-8")
+    rows = page.partition(BEGIN)[2].partition(END)[0].strip().splitlines()[2:]
+    named = [tuple(cell.strip() for cell in row.split("|")[1:3]) for row in rows]
+    assert named
+    assert {*named} <= {(attack.who, attack.what) for attack in ATTACKS + LONG}
+    held = [row.split("|")[3:5] for row in rows]
+    assert all(int(trials) >= int(good) > 0 for trials, good in held)
