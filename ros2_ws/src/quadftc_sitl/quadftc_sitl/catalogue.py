@@ -56,6 +56,11 @@ def fly_jobs(
     found = {number: stored for number, job in enumerate(jobs) if (stored := _stored(job, resume))}
     follow(len(found))
     left = [number for number in range(len(jobs)) if number not in found]
+    if workers == 1:
+        for number in left:
+            found[number] = fly_job(jobs[number])
+            follow(len(found))
+        return [found[number] for number in range(len(jobs))]
     with ProcessPoolExecutor(workers, get_context("spawn"), initializer=die_with_parent) as pool:
         running = {pool.submit(fly_job, jobs[number]): number for number in left}
         try:

@@ -66,8 +66,9 @@ def flown(tmp_path, monkeypatch):
     return fly
 
 
-def test_flight_ends_with_one_summary_of_all_that_was_said(flown, capsys):
-    code, folder = flown("--junit", "junit.xml")
+def test_flight_ends_with_one_summary_of_all_that_was_said(flown, capsys, tmp_path):
+    code, folder = flown("--junit", str(tmp_path / "junit.xml"))
+    assert 'tests="2" failures="1"' in (tmp_path / "junit.xml").read_text()
     found = json.loads((folder / "sitl.json").read_text())
     assert code == 1  # the autopilot is slower than the second check allows; the vehicle survives
     assert [check["passed"] for check in found["checks"]] == [True, False]
@@ -78,7 +79,7 @@ def test_flight_ends_with_one_summary_of_all_that_was_said(flown, capsys):
     assert ours["observer"]["delay_s"] < 0.1
     assert own["observer"]["named"] is None  # it is not in our samples
     assert own["autopilot"]["words"] == "EKF3 lane switch 1"
-    assert own["autopilot"]["delay_s"] < 0.1
+    assert own["autopilot"]["delay_s"] < 0.2
     assert found["metrics"]["position_max_m"] < 1.5
     (port,) = found["autopilot"]["open_sockets"]
     assert port.startswith("udp 0.0.0.0:")
