@@ -117,6 +117,8 @@ def _send_setpoint(target: str, pairs: dict[str, str], namespace: str) -> None:
         publisher = graph.publisher(topic)
         if publisher is None:
             raise GraphError(f"nobody reads {topic}: {LIVE}")
+        if graph.node.count_publishers(publisher.topic_name) > 1:
+            raise GraphError(f"{topic}: another node publishes it, and is followed; end that first")
         message.header.stamp = graph.node.get_clock().now().to_msg()
         publisher.publish(message)
         publisher.wait_for_all_acked()
