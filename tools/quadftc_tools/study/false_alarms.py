@@ -233,7 +233,7 @@ if __name__ == "__main__":
     known = {
         "--flights": {"type": int, "default": 500, "help": "healthy ones"},
         "--faulty": {"type": int, "default": 150, "help": "flights with a fault"},
-        "--seed": {"type": int, "default": 70000, "help": "of the first flight"},
+        "--seed": {"type": int, "default": 80000, "help": "of the first flight"},
         "--data": {"type": Path, "help": "folder of real logs"},
         "--write": {"action": "store_true", "help": "store the healthy flights for --false-alarms"},
     }
