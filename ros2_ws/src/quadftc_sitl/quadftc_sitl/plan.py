@@ -80,7 +80,7 @@ class OwnFault(_Shape):
     start: Seconds = 0.0  # [s]
     stop: Seconds | None = None  # [s]; None: to the end
     rise: Seconds = 0.0  # over which the values grow to what is set [s]; 0: a step
-    component: str = ""  # that fails, with its element, such as 'gps north'; empty: by the parameters
+    component: str = ""  # that fails, with its element, such as 'gps x'; empty: by the parameters
     kind: str = ""  # what it looks like
 
     @property

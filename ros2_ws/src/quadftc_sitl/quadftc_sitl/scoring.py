@@ -17,7 +17,6 @@ from quadftc_sitl.plan import SitlPlan
 AFTERWARDS = 5.0  # s; what is said up to then after a fault has ended counts as said of it
 EARLY = 1.0  # s; an onset that is found this much before the fault is still its own
 SHOWN = 20  # events of the autopilot in the summary of a fault
-GPS_ELEMENTS = {"X": "north", "Y": "east", "Z": "up"}
 ATTITUDE = ("roll", "pitch", "yaw")
 
 
@@ -52,8 +51,7 @@ def _elements_of(component: str, values: Mapping[str, float]) -> list[str]:
     if component == ROTOR:
         mask = int(values.get("SIM_ENGINE_FAIL", 0.0))
         return [str(number + 1) for number in range(32) if mask >> number & 1]
-    letters = [name[-1] for name in values if name[-2:] in ("_X", "_Y", "_Z")]
-    return [GPS_ELEMENTS[letter] if component == "gps" else letter.lower() for letter in letters]
+    return [name[-1].lower() for name in values if name[-2:] in ("_X", "_Y", "_Z")]
 
 
 def noticed(fault: Mapping[str, Any], events: Sequence[Event]) -> dict[str, Any]:
@@ -73,7 +71,7 @@ def noticed(fault: Mapping[str, Any], events: Sequence[Event]) -> dict[str, Any]
 
 def observed(fault: Mapping[str, Any], reports: Iterable[DiagnosisReport], begin_ns: int) -> dict[str, Any]:
     """Return what our fault observer said of a fault; ``named`` is None for what it is not told of."""
-    if fault["source"] == "autopilot" and fault["component"] != ROTOR:
+    if fault["source"] == "autopilot":
         return {"named": None, "delay_s": None, "as": [], "others": []}
     named: dict[str, Any] = {"named": False, "delay_s": None, "as": [], "others": []}
     for report in reports:
