@@ -34,7 +34,7 @@ def test_links_of_a_document_lead_somewhere(document: Path):
 def test_every_package_is_in_the_readme():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     packages = [path.parent.name for path in (ROOT / "ros2_ws" / "src").glob("*/package.xml")]
-    assert len(packages) == 15
+    assert len(packages) == 16
     table = readme.partition("| package | what is in it |")[2].partition("\n\n")[0]
     assert [name for name in packages if f"`{name}`" not in table] == []
 
