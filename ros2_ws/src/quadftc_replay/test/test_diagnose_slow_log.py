@@ -33,12 +33,13 @@ def fly(
     wrong: tuple[int, ...] = (0,),
     seconds: float = 25.0,
     stop: float = np.inf,
+    back: float = np.inf,
     seed: int = 3,
 ) -> FlightLog:
     """A quadrotor in gusts that its own first gyro steers; from `ONSET` on the faults act.
 
     ``lost`` is a rotor and the share of its thrust; ``gyro`` and ``force`` are offsets of the IMUs ``wrong``.
-    At ``stop`` the rotors are switched off.
+    At ``stop`` the rotors are switched off, at ``back`` the lost one gives its thrust again.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, DT)
@@ -57,7 +58,7 @@ def fly(
         thrust += DT / 0.04 * (command - thrust)
         given = thrust.copy()
         if lost is not None:
-            given[lost[0]] *= 1.0 - lost[1] * late
+            given[lost[0]] *= 1.0 - lost[1] * late * float(now < back)
         gust += DT * (-gust / 0.5 + 2.0 * rng.standard_normal(3) / np.sqrt(DT))
         rate = rate + DT * (given @ GAINS + gust)
         q, estimate = turn(q, rate * DT), turn(estimate, believed * DT)
@@ -119,6 +120,13 @@ def test_rotor_that_loses_thrust_is_the_first_cause(rotor: int, share: float):
     assert (first.component, first.element) == ("rotor", str(rotor + 1))
     assert first.onset_s == pytest.approx(ONSET, abs=0.3)
     assert verdict.outcome == "fault"
+
+
+@pytest.mark.parametrize("rotor", [0, 3])
+def test_loss_of_a_rotor_that_ends_is_not_taken_for_one_of_the_rotor_that_faces_it(rotor: int):
+    first = judge(fly(lost=(rotor, 0.5), back=ONSET + 3.0, seconds=ONSET + 20.0)).findings[0]
+    assert (first.component, first.element) == ("rotor", str(rotor + 1))
+    assert (first.onset_s, first.end_s) == pytest.approx((ONSET, ONSET + 3.0), abs=0.3)
 
 
 def test_wrong_gyro_of_two_is_named_though_the_controller_follows_it():

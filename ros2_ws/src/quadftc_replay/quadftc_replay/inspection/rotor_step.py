@@ -34,7 +34,7 @@ CANDIDATE = 3.0  # standard deviations; of a step that the model of all before i
 LEAST, MOST = 0.2, 2.0  # 1; share of the rotor's thrust
 ASIDE = 0.5  # 1; of what r moves by, that may point elsewhere
 CALM = 0.35  # 1; quantile of the steps of a flight that is their usual size
-STAYS = 0.5  # 1; of the share, that is missing until the vehicle is down
+STAYS = 0.5  # 1; of the share, that is missing until the vehicle is down, or the rotor back
 ROUNDS = 3  # of fit and judgement
 PARTS = (0.35, 0.5, 0.75, 1.0)  # 1; of the flight, by which models are fitted
 LEAST_FLOWN = 30  # commands in flight
@@ -59,6 +59,7 @@ class RotorStep(NamedTuple):
     second: int | None  # the rotor that explains it nearly as well
     time: Floats  # (n,) [s]
     rest: Floats  # (n, 2) r
+    end: float | None = None  # s; None: it lasts
 
 
 class Torque(NamedTuple):
@@ -203,54 +204,87 @@ def _model(torque: Torque, end: float, step: RotorStep | None = None) -> tuple[F
     return fit(torque._replace(flying=before), moved)
 
 
+class Shares(NamedTuple):
+    """What share of each rotor's thrust a step of r is, at each moment."""
+
+    share: Floats  # (m, rotors)
+    sure: Floats  # (m, rotors), by the least favourable model
+    sigma: Floats  # (m, rotors)
+    aside: Mask  # (m, rotors) the step points elsewhere
+
+
+def _shares(
+    part: Torque,
+    rest: Floats,
+    factors: Floats,
+    covariance: Floats,
+    k: NDArray[np.int_],
+    before: int,
+    count: int,
+) -> Shares:
+    """Compare the steps at rows ``k``, over ``count`` samples less ``before``, with those of each rotor."""
+    others_only = covariance.copy()
+    others_only[:, SIGNED, :] = others_only[:, :, SIGNED] = 0.0
+    step = _steps(rest, k, before, count)
+    unsure = _steps(part.columns.reshape(len(rest), 6), k, before, count).reshape(len(k), 2, 3)
+    variance = np.einsum("nak,akl,nal->na", unsure, others_only, unsure) + _scatter(step) ** 2 + FLOOR**2
+    least = _least_favourable(step, unsure, factors, covariance)
+    effect = _after(part.commands, k, count)[:, :, None] * part.layout.T  # (m, rotors, 2)
+    power = np.sum(effect**2 / variance[:, None], axis=2) + 1e-12
+    share, sure = (np.einsum("mra,ma->mr", effect, each / variance) / power for each in (step, least))
+    aside = np.linalg.norm(least[:, None] - sure[..., None] * effect, axis=2)
+    far = aside >= ASIDE * np.linalg.norm(least, axis=1)[:, None]
+    return Shares(share, sure, 1.0 / np.sqrt(power), far)
+
+
 def search(torque: Torque, factors: Floats, covariance: Floats, level: float = LEVEL) -> RotorStep | None:
-    """Find the first step of r that a rotor explains and that stays, by a model and its covariance."""
+    """Find the first step of r that a rotor explains and that stays, by a model and its covariance.
+
+    It may end by a step back, as sharp and half as large, `WINDOWS` [-1] or more after it began. The end of a
+    loss looks like the loss of the rotor that faces it.
+    """
     period = float(np.median(np.diff(torque.time)))
-    rows = np.flatnonzero(torque.flying)
-    part = torque.rows(rows)
+    part = torque.rows(np.flatnonzero(torque.flying))
     rest = part.asked - np.einsum("nak,ak->na", part.columns, factors)
     doubt = np.einsum("nak,akl,nal->na", part.columns, covariance, part.columns)
     before, shortest = max(2 * FEWEST, round(BEFORE / period)), max(FEWEST, round(WINDOWS[0] / period))
-    others_only = covariance.copy()
-    others_only[:, SIGNED, :] = others_only[:, :, SIGNED] = 0.0
     best: RotorStep | None = None
     for window in WINDOWS:
         count = max(FEWEST, round(window / period))
-        k = np.arange(max(FEWEST, round(KNOWN / period)), len(rows) - shortest + 1)
+        k = np.arange(max(FEWEST, round(KNOWN / period)), len(rest) - shortest + 1)
         if not len(k):
             continue
-        step = _steps(rest, k, before, count)
-        unsure = _steps(part.columns.reshape(len(rows), 6), k, before, count).reshape(len(k), 2, 3)
-        variance = np.einsum("nak,akl,nal->na", unsure, others_only, unsure) + _scatter(step) ** 2 + FLOOR**2
-        least = _least_favourable(step, unsure, factors, covariance)
-        driven = _after(part.commands, k, count)
-        effect = driven[:, :, None] * torque.layout.T  # (m, rotors, 2)
-        power = np.sum(effect**2 / variance[:, None], axis=2) + 1e-12
-        share, sure = (np.einsum("mra,ma->mr", effect, each / variance) / power for each in (step, least))
-        aside = np.linalg.norm(least[:, None] - sure[..., None] * effect, axis=2)
-        score = sure * np.sqrt(power)
-        fits = (score > level) & (sure > LEAST) & (sure < MOST)
-        fits &= aside < ASIDE * np.linalg.norm(least, axis=1)[:, None]
-        score: Floats = np.where(fits, score, 0.0)
-        starts: list[int] = np.flatnonzero(fits.any(axis=1)).tolist()
+        share, sure, sigma, aside = _shares(part, rest, factors, covariance, k, before, count)
+        signed = sure / sigma
+        score: Floats = np.where((signed > level) & (sure > LEAST) & (sure < MOST) & ~aside, signed, 0.0)
+        starts: list[int] = np.flatnonzero(score.any(axis=1)).tolist()
         for first in starts:
             at = first + int(np.argmax(score[first : first + count].max(axis=1)))
             rotor = int(np.argmax(score[at]))
-            whole = _whole(part, rest, doubt, int(k[at]), before, rotor)
-            if whole < STAYS * sure[at, rotor]:
-                continue
+            row, end = int(k[at]), len(rest)
+            whole = _whole(part, rest, doubt, row, before, rotor, end)
+            if whole < STAYS * sure[at, rotor]:  # it may have ended by a step as sharp
+                back = (-signed[:, rotor] > level) & (-sure[:, rotor] > STAYS * sure[at, rotor])
+                ends: list[int] = np.flatnonzero(back & (k > row + round(WINDOWS[-1] / period))).tolist()
+                if not ends:
+                    continue
+                end = int(k[ends[0] + int(np.argmin(signed[ends[0] : ends[0] + count, rotor]))])
+                whole = _whole(part, rest, doubt, row, before, rotor, end)
+                if whole < STAYS * sure[at, rotor]:
+                    continue
             others: Floats = score[at].copy()
             others[rotor] = 0.0
             second = int(np.argmax(others))
             found = RotorStep(
                 rotor=rotor,
-                onset=float(part.time[k[at]]),
+                onset=float(part.time[row]),
                 share=min(max(whole, float(share[at, rotor])), 1.0),  # inertia that is too small hides some
-                sigma=float(np.hypot(1.0 / np.sqrt(power[at, rotor]), 0.5 * (share - sure)[at, rotor])),
+                sigma=float(np.hypot(sigma[at, rotor], 0.5 * (share - sure)[at, rotor])),
                 score=float(score[at, rotor]),
                 second=second if others[second] > NEARLY * score[at, rotor] else None,
                 time=part.time,
                 rest=rest,
+                end=None if end == len(rest) else float(part.time[end]),
             )
             if best is None or found.onset < best.onset - window:
                 best = found
@@ -287,13 +321,13 @@ def _scatter(step: Floats) -> float:
     return TO_SIGMA * float(np.quantile(np.linalg.norm(step, axis=1), CALM))
 
 
-def _whole(part: Torque, rest: Floats, doubt: Floats, row: int, before: int, rotor: int) -> float:
-    """Share of a rotor that is missing from a row on to the end, where the model is still sure."""
+def _whole(part: Torque, rest: Floats, doubt: Floats, row: int, before: int, rotor: int, end: int) -> float:
+    """Share of a rotor that is missing from a row to another, where the model is still sure."""
     base = rest[max(row - before, 0) : row].mean(axis=0)
-    effect = part.commands[row:, rotor, None] * part.layout[:, rotor]
-    weight = 1.0 / (FLOOR**2 + doubt[row:])
+    effect = part.commands[row:end, rotor, None] * part.layout[:, rotor]
+    weight = 1.0 / (FLOOR**2 + doubt[row:end])
     power = float(np.sum(weight * effect**2))
-    return float(np.sum(weight * (rest[row:] - base) * effect)) / max(power, 1e-12)
+    return float(np.sum(weight * (rest[row:end] - base) * effect)) / max(power, 1e-12)
 
 
 def _begins_to_turn(flight: Flight, torque: Torque, step: RotorStep) -> float:

@@ -137,6 +137,7 @@ def _step_found(step: RotorStep) -> Found:
     )
     finding = make_finding(
         *("rotor", str(step.rotor + 1), "off" if step.share > ALL_OF_IT else "loss", step.onset),
+        end_s=step.end,
         size=step.share,
         sigma=step.sigma,
         unit="1",
