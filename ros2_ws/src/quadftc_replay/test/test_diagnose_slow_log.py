@@ -124,9 +124,9 @@ def test_rotor_that_loses_thrust_is_the_first_cause(rotor: int, share: float):
 
 @pytest.mark.parametrize("rotor", [0, 3])
 def test_loss_of_a_rotor_that_ends_is_not_taken_for_one_of_the_rotor_that_faces_it(rotor: int):
-    first = judge(fly(lost=(rotor, 0.5), back=ONSET + 3.0, seconds=ONSET + 20.0)).findings[0]
+    first = judge(fly(lost=(rotor, 0.5), back=ONSET + 6.0, seconds=ONSET + 30.0)).findings[0]
     assert (first.component, first.element) == ("rotor", str(rotor + 1))
-    assert (first.onset_s, first.end_s) == pytest.approx((ONSET, ONSET + 3.0), abs=0.3)
+    assert (first.onset_s, first.end_s) == pytest.approx((ONSET, ONSET + 6.0), abs=0.3)
 
 
 def test_wrong_gyro_of_two_is_named_though_the_controller_follows_it():

@@ -30,6 +30,8 @@ FEWEST = 3  # commands in a window
 FLOOR = 0.01  # 1; standard deviation of r, at least: that of Crazyflies from flight to flight
 LEVEL = 4.0  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 2.9
 SOONER = 0.3  # s; by which a loss may begin before it is seen
+# both steps of a loss that ends [standard deviations], and how long it lasts [s]: gusts reach 9 for 2 s
+ENDED, LASTED = 2.0 * LEVEL, 5.0
 CANDIDATE = 3.0  # standard deviations; of a step that the model of all before it has to confirm
 LEAST, MOST = 0.2, 2.0  # 1; share of the rotor's thrust
 ASIDE = 0.5  # 1; of what r moves by, that may point elsewhere
@@ -240,8 +242,8 @@ def _shares(
 def search(torque: Torque, factors: Floats, covariance: Floats, level: float = LEVEL) -> RotorStep | None:
     """Find the first step of r that a rotor explains and that stays, by a model and its covariance.
 
-    It may end by a step back, as sharp and half as large, `WINDOWS` [-1] or more after it began. The end of a
-    loss looks like the loss of the rotor that faces it.
+    It may end by a step back, `LASTED` or more after it began. The end of a loss looks like the loss of the
+    rotor that faces it.
     """
     period = float(np.median(np.diff(torque.time)))
     part = torque.rows(np.flatnonzero(torque.flying))
@@ -264,8 +266,9 @@ def search(torque: Torque, factors: Floats, covariance: Floats, level: float = L
             row, end = int(k[at]), len(rest)
             whole = _whole(part, rest, doubt, row, before, rotor, end)
             if whole < STAYS * sure[at, rotor]:  # it may have ended by a step as sharp
-                back = (-signed[:, rotor] > level) & (-sure[:, rotor] > STAYS * sure[at, rotor])
-                ends: list[int] = np.flatnonzero(back & (k > row + round(WINDOWS[-1] / period))).tolist()
+                back = (-signed[:, rotor] > ENDED) & (-sure[:, rotor] > STAYS * sure[at, rotor])
+                back &= (k > row + round(LASTED / period)) & (score[at, rotor] > ENDED)
+                ends: list[int] = np.flatnonzero(back).tolist()
                 if not ends:
                     continue
                 end = int(k[ends[0] + int(np.argmin(signed[ends[0] : ends[0] + count, rotor]))])

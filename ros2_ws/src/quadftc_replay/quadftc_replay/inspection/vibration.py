@@ -38,9 +38,9 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
     limit = min(max(RISEN * usual, FELT), HARMFUL)
     for run in runs_of(watched & (value > limit)):
         start, end = float(time[run.start]), float(time[run.stop - 1])
-        if end - start < LASTS:
-            continue
         risen = float(np.median(value[run]))
+        if end - start < LASTS or (usual < HARMFUL and risen < 0.5 * RISEN * usual):
+            continue  # what wanders about the harmful level all along has not risen
         lower = np.flatnonzero(value[: run.start] < usual + 0.25 * (risen - usual))
         onset = float(time[lower[-1] + 1]) if len(lower) else start
         grown = np.median(axes[run], axis=0) > RISEN * np.median(axes[watched & (value <= limit)], axis=0)
