@@ -59,6 +59,10 @@ def report_refusal(path: Path, advice: str = "") -> Generator[None, None, None]:
         raise CampaignError(f"{path}: {error.strerror or error}{advice}") from None
 
 
+# directories that this process keeps to itself, by inode and device; the lock goes with the descriptor
+_LOCKED: dict[tuple[int, ...], int] = {}
+
+
 class CampaignRun:
     """A campaign in a directory; ``size`` is the number of flights of a chunk, which has one variant."""
 
@@ -101,12 +105,18 @@ class CampaignRun:
 
     def _lock(self) -> None:
         """Keep the directory to this process until it ends; a `CampaignError` says that another has it."""
-        self._held = os.open(self._directory, os.O_RDONLY)
+        held = os.open(self._directory, os.O_RDONLY)
+        key = os.fstat(held)[1:3]  # inode, device
+        if key in _LOCKED:
+            os.close(held)
+            return
         try:
-            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            os.close(held)
             words = f"another process flies this campaign now; wait for it, or {ANOTHER}"
             raise CampaignError(f"{self._directory}: {words}") from None
+        _LOCKED[key] = held
 
     def _remove_damaged(self) -> Iterator[str]:
         """Remove chunks that are no tables or hold other flights than they should; say which, and why."""
