@@ -134,11 +134,9 @@ def test_wrong_bag_among_good_ones_is_one_line_and_leaves_the_old_report(
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_directory_as_the_place_of_the_page_is_refused(runs: Path, tmp_path: Path):
-    done = report(runs, "--out", tmp_path)
-    assert done.returncode == 2
-    assert "is a directory" in done.stderr
-    assert list(tmp_path.iterdir()) == []
+def test_directory_as_the_place_of_the_page_gets_it_with_its_figures(runs: Path, tmp_path: Path):
+    assert report(runs, "--out", tmp_path).returncode == 0
+    assert {each.name for each in tmp_path.iterdir()} == {"report.html", "report_figures"}
 
 
 def test_command_starts_without_the_libraries_that_draw():

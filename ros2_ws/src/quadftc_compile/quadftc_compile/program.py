@@ -95,9 +95,9 @@ def _in_double() -> Any:
 
     if hasattr(jax, "enable_x64"):
         return jax.enable_x64(True)
-    from jax.experimental import enable_x64
+    import jax.experimental
 
-    return enable_x64()
+    return getattr(jax.experimental, "enable_x64")()  # noqa: B009 - no other name on Python 3.10
 
 
 @dataclasses.dataclass(frozen=True)
