@@ -32,8 +32,8 @@ COMMANDS = {
     "check": ["check", "s.yaml"],
     "diagnose": ["diagnose", "log.ulg", "--out", "out"],
     "campaign": ["campaign", "c.yaml", "--out", "out", "--workers", "2"],
-    "tune": ["tune", "c.yaml", "--out", "tuned.yaml"],
     "live": ["live", "--no-browser", "--port", "0"],
+    "tune": ["tune", "c.yaml", "--out", "tuned.yaml"],
     "serve": ["serve", "--folder", "served", "--no-browser", "--port", "0"],
     "watch": ["watch"],
     "list": ["list", "faults"],
@@ -46,7 +46,7 @@ scenario: tiny.yaml
 flights: 90
 schemes: [conventional]
 vary: {faults.0.value: {uniform: [0.5 deg, 5 deg], sign: random}}
-tune: {gains: [controller.k_c1], cost: {tracking_rmse_deg: 1}, flights: 2, steps: 2, rate: 0.05, held_out: 2}
+tune: {gains: [controller.k_c2], cost: {tracking_rmse_deg: 1}, flights: 2, steps: 2, rate: 0.05, held_out: 2}
 """
 SHIM = Path(__file__).parents[1] / "quadftc_tools" / "attack" / "clock_shim.c"
 
@@ -101,7 +101,8 @@ def test_command_interrupted_twice_ends_and_leaves_nothing(name, work):
             assert "Traceback" not in said, how
         psutil.wait_procs(children, timeout=10.0)
         assert [child for child in children if child.is_running() and child.status() != "zombie"] == [], how
-        assert list((work / "temporary").iterdir()) == [], how
+        left = [each for each in (work / "temporary").rglob("*") if each.name != "dask-scratch-space"]
+        assert left == [], how  # Dask's folder stays, empty
 
 
 def finish(work: Path, arguments: list[str], **more) -> tuple[int, str]:

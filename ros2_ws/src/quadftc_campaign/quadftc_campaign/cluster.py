@@ -10,6 +10,7 @@ import importlib.util
 import logging
 import os
 import signal
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
@@ -59,13 +60,17 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
 def deaf_children() -> Generator[None, None, None]:
     """Keep Ctrl-C from threads and processes that start meanwhile: who started them ends them.
 
-    A terminal sends it to all processes, and one that still starts would end with a traceback.
+    A terminal sends it to all processes, and one that still starts would end with a traceback. They ignore
+    it for good; here it is lost meanwhile.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    if threading.current_thread() is not threading.main_thread():
+        yield  # which alone may say what is ignored
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.signal(signal.SIGINT, before)
 
 
 def has_accelerator() -> bool:
