@@ -32,11 +32,11 @@ COMMANDS = {
     "check": ["check", "s.yaml"],
     "diagnose": ["diagnose", "log.ulg", "--out", "out"],
     "campaign": ["campaign", "c.yaml", "--out", "out", "--workers", "2"],
-    "live": ["live", "--no-browser", "--port", "0"],
-    "tune": ["tune", "c.yaml", "--out", "tuned.yaml"],
     "serve": ["serve", "--folder", "served", "--no-browser", "--port", "0"],
+    "live": ["live", "--no-browser", "--port", "0"],
     "watch": ["watch"],
     "list": ["list", "faults"],
+    "tune": ["tune", "c.yaml", "--out", "tuned.yaml"],
     "doctor": ["doctor"],  # 1 where something is missing
 }
 CAMPAIGN = b"""\
