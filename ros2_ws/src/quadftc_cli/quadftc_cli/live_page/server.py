@@ -67,7 +67,11 @@ def make_app(
         with contextlib.suppress(OSError):  # the flight is over already, as `take` will find
             channel.send(address.encode())
         with browser_at(address, OUTPUTS) if opens else contextlib.nullcontext():
-            yield
+            try:
+                yield
+            except asyncio.CancelledError:  # a second Ctrl-C: uvicorn has nothing to add
+                logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+                raise
         commander.close()
 
     app = FastAPI(title="quadftc live", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)

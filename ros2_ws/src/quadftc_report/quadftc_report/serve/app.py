@@ -7,7 +7,9 @@ anybody.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import logging
 import secrets
 from collections.abc import AsyncIterator
 from contextlib import AbstractContextManager
@@ -37,7 +39,11 @@ def make_app(jobs: Jobs, token: str, browser: AbstractContextManager[None] | Non
     @contextlib.asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         with browser or contextlib.nullcontext():
-            yield
+            try:
+                yield
+            except asyncio.CancelledError:  # a second Ctrl-C: uvicorn has nothing to add
+                logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+                raise
         await jobs.close()
 
     app = FastAPI(title="quadftc serve", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
