@@ -39,7 +39,7 @@ def diagnose(
     false_alarms: Annotated[
         str,
         Option(
-            metavar="LEVEL", help="Flights with a false finding at most, such as 1/10h; default: as it is."
+            metavar="LEVEL", help="Flights with a false finding at most, such as 1/5h; default: as it is."
         ),
     ] = "",
     out: Annotated[
