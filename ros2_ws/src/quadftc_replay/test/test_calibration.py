@@ -66,7 +66,7 @@ def test_format_without_flights_is_refused():
 def test_flights_of_both_autopilots_come_with_the_judge():
     assert [each.autopilot for each in load_calibrations()] == ["ArduPilot", "PX4"]
     for known in load_calibrations():
-        assert known.hours > 10.0
+        assert known.hours > 5.0  # the level of the documents
         assert len(known.scores) <= known.flights
         assert list(known.scores) == sorted(known.scores, reverse=True)
 
