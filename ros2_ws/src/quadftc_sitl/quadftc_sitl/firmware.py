@@ -13,6 +13,7 @@ import re
 import signal
 import socket
 import subprocess
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO
@@ -24,6 +25,21 @@ TAIL = 12  # lines of its output that an error shows
 PATIENCE = 3.0  # s; from being asked to end until it is killed
 LISTENS = "0A"  # state of a TCP socket in /proc/net/tcp
 SERIAL_PORTS = (1, 2)  # of ArduPilot, besides the first; GPS come next, and those behind are off
+
+
+# becomes the firmware, which the kernel kills with us; no fork of a process that has threads of JAX
+START = f"""
+import ctypes, os, sys
+parent, said = map(int, sys.argv[1:3])
+os.set_inheritable(said, False)
+ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, {int(signal.SIGKILL)}, 0, 0, 0)
+if os.getppid() != parent:
+    os._exit(1)
+try:
+    os.execvp(sys.argv[3], sys.argv[3:])
+except OSError as error:
+    os.write(said, error.strerror.encode())
+"""
 
 
 class SitlError(ValueError):
@@ -44,28 +60,24 @@ class Firmware:
     def __init__(self, arguments: Sequence[str], folder: Path) -> None:
         """Start it; a `SitlError` says if it cannot be started."""
         self.arguments, self.folder = list(arguments), folder
-        prctl = ctypes.CDLL(None, use_errno=True).prctl  # found before the fork
-        parent = os.getpid()
-
-        def die_with_us() -> None:
-            prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-            if os.getppid() != parent:  # we died in between
-                os._exit(1)
-
+        reading, writing = os.pipe()
         self._output: IO[bytes] = (folder / OUTPUT).open("wb")
-        try:
-            self._process = subprocess.Popen(
-                self.arguments,
-                cwd=folder,
-                stdin=subprocess.DEVNULL,
-                stdout=self._output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-                preexec_fn=die_with_us,  # noqa: PLW1509  no other thread of ours holds a lock
-            )
-        except OSError as error:
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", START, str(os.getpid()), str(writing), *self.arguments],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            pass_fds=(writing,),
+        )
+        os.close(writing)
+        with os.fdopen(reading, encoding="utf-8") as said:
+            error = said.read()  # it ends as the firmware begins
+        if error:
+            self._process.wait()
             self._output.close()
-            raise SitlError(f"{arguments[0]}: does not start: {error.strerror}") from None
+            raise SitlError(f"{arguments[0]}: does not start: {error}")
 
     @property
     def pid(self) -> int:
