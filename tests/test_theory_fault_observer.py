@@ -1,10 +1,12 @@
 """The sliding-mode fault observer against the theory of docs/theory.md; (T1) ... are its own equations."""
 
+import dataclasses
 import functools
 import math
 
 import numpy as np
 import pytest
+from in_c import fly_arrays
 from scipy.integrate import solve_ivp
 
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
@@ -13,7 +15,6 @@ from quadftc_model.samples import FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("qball_x4")
-TRUE = np.bool_(True)
 ZEROS = np.zeros(3)
 RATES = (125, 250, 500, 1000)
 EVERY_RATE = pytest.mark.parametrize("rate", RATES)
@@ -51,18 +52,31 @@ def after_start(fault):
     return lambda time: np.asarray(fault) * (time > 0.0)
 
 
-def flown(law, duration, fault, rate=250, motion=still, gyro_bias=0.0, start=lambda state: state):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Shown:
+    """An observer whose output is its state; it begins where `z1` and `z2` are off by ``start`` (2, 3)."""
+
+    law: SlidingMode
+    start: np.ndarray
+
+    def init(self, inputs):
+        state = self.law.init(inputs)
+        return state._replace(z1=state.z1 + self.start[0], z2=state.z2 + self.start[1])
+
+    def step(self, state, inputs, dt):
+        after, _ = self.law.step(state, inputs, dt)
+        return after, after
+
+
+def flown(law, duration, fault, rate=250, motion=still, gyro_bias=0.0, start=(ZEROS, ZEROS)):
     """Times (n,) and the observer's states of a flight, each field stacked (n, ...)."""
     times = np.arange(round(duration * rate) + 1) / rate
-    state, states = None, []
-    for time in times:
-        angles, body_rate = motion(time)
-        q_xyzw = quaternion_from_euler(angles + fault(time))
-        inputs = FaultObserverInputs(ImuSample(q_xyzw, body_rate + gyro_bias, ZEROS, TRUE, TRUE, TRUE), ZEROS)
-        state = start(law.init(inputs)) if state is None else state
-        state, _ = law.step(state, inputs, 1.0 / rate if time > 0.0 else 0.0)
-        states.append(state)
-    return times, type(state)(*(np.array(column) for column in zip(*states, strict=True)))
+    angles, body_rate = (np.array(column) for column in zip(*map(motion, times), strict=True))
+    there = np.ones(len(times), bool)
+    q_xyzw = quaternion_from_euler(angles + np.array([fault(time) for time in times]))
+    imu = ImuSample(q_xyzw, body_rate + gyro_bias, np.zeros_like(angles), there, there, there)
+    inputs = FaultObserverInputs(imu, np.zeros_like(angles))
+    return times, fly_arrays(Shown(law, np.array(start)), inputs, 1.0 / rate)[1]
 
 
 def continuous(law, times):
@@ -216,9 +230,7 @@ def test_fault_present_from_the_start_is_never_seen():
 def test_attitude_error_of_the_observer_is_fixed_to_the_earth():
     law, error = observer(L1=0.0, l_k2=0.0), 0.01
     turn = (lambda t: (np.array([0.0, 0.0, t]), np.array([0.0, 0.0, 1.0])), 0.5 * math.pi)
-    _, states = flown(
-        law, turn[1], no_fault, 500, turn[0], start=lambda state: state._replace(z2=np.array([error, 0, 0]))
-    )
+    _, states = flown(law, turn[1], no_fault, 500, turn[0], start=(ZEROS, [error, 0.0, 0.0]))
     # (T4): what was roll is pitch after a quarter of a turn
     np.testing.assert_allclose(states.z2[-1, :2], [0.0, -error], atol=error / 100.0)
 
@@ -254,7 +266,7 @@ def test_rate_observer_slides_after_its_reaching_time(rate):
         no_fault,
         rate,
         lambda t: (ZEROS, worst * t),
-        start=lambda state: state._replace(z1=state.z1 - np.array([far, 0.0, 0.0])),
+        start=([-far, 0.0, 0.0], ZEROS),
     )
     off = np.linalg.norm(states.h1 - states.z1, axis=1) > 1e-12
     reached = times[np.flatnonzero(off)[-1]] + 1.0 / rate
