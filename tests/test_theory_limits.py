@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from in_c import Shown, fly_arrays
 
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.scenario import find_scenario, load_scenario, with_duration
+from quadftc_model.arrays import rows_of
 from quadftc_model.samples import FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.sensors import GRADES
@@ -62,18 +64,16 @@ def test_smallest_ramp_is_that_of_the_optimal_filter(duration, smallest):
 
 def test_adaptive_gain_grows_without_end_under_noise():
     law = SlidingMode(vehicle=load_vehicle("qball_x4"), L1=0.0, kinematics="small_angle")
-    sigma, there = math.radians(NOISE), np.bool_(True)
-    generator, state, gains, injections = np.random.default_rng(4), None, [], []
-    for _ in range(5001):
-        half = 0.5 * sigma * generator.standard_normal(3)
-        q_xyzw = np.append(half, 1.0) / np.linalg.norm(np.append(half, 1.0))
-        imu = ImuSample(q_xyzw, np.zeros(3), np.zeros(3), there, there, there)
-        inputs = FaultObserverInputs(imu, np.zeros(3))
-        if state is None:
-            state = law.init(inputs)._replace(z2=np.zeros(3))
-        state, _ = law.step(state, inputs, DT)
-        gains.append(state.k2[0])
-        injections.append(state.v2)
+    sigma, shape = math.radians(NOISE), (5001, 3)
+    vector = np.pad(
+        0.5 * sigma * np.random.default_rng(4).standard_normal(shape), ((0, 0), (0, 1)), constant_values=1.0
+    )
+    there, zeros = np.ones(shape[0], bool), np.zeros(shape)
+    q_xyzw = vector / np.linalg.norm(vector, axis=1, keepdims=True)
+    inputs = FaultObserverInputs(ImuSample(q_xyzw, zeros, zeros, there, there, there), zeros)
+    begin = law.init(rows_of(inputs, 0))._replace(z2=np.zeros(3))
+    _, states = fly_arrays(Shown(law), inputs, DT, begin)
+    gains, injections = states.k2[:, 0], states.v2
     stiffness = (law.epsilon_s + law.epsilon_2) / law.delta
     passed = (DT * sigma) ** 2 / ((1.0 + DT * (law.L2 + stiffness)) ** 2 - 1.0)  # variance of e3 on an axis
     growth = law.l_k2 * law.H**2 * 3.0 * passed  # (T19)

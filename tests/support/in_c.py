@@ -44,6 +44,22 @@ def in_c(law, inputs):
     return CRunner(law, build_library(recipe_of(law, inputs)))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Shown:
+    """A law whose output is its state."""
+
+    law: object
+
+    def init(self, inputs):
+        """The state of the law."""
+        return self.law.init(inputs)
+
+    def step(self, state, inputs, dt):
+        """Step the law."""
+        after, _ = self.law.step(state, inputs, dt)
+        return after, after
+
+
 class Moved(NamedTuple):
     """What moves a plant: the command that acts over a period, and when that begins [s]."""
 

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from in_c import fly_arrays
 from scipy.stats import chi2
 
 from quadftc_fdi.fault_observers.augmented_kalman import DEG, AugmentedKalman
+from quadftc_model.arrays import rows_of
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FAULTY, HEALTHY, FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
@@ -21,19 +23,17 @@ def motion(time):
     return angles, body_rates(angles, 0.2 * frequency * np.cos(argument))
 
 
+def inputs_of(angles, rates, rate_valid=None):
+    """Inputs (n, ...) of measured angles and rates (n, ..., 3)."""
+    there, zeros = np.ones(angles.shape[:-1], bool), np.zeros_like(rates)
+    valid = there if rate_valid is None else rate_valid
+    imu = ImuSample(quaternion_from_euler(angles), rates, zeros, there, valid, there)
+    return FaultObserverInputs(imu, zeros)
+
+
 def flown(observer, angles, rates, dt, rate_valid=None):
-    """Estimates and last state for measured angles and rates (n, ..., 3)."""
-    there = np.ones(angles.shape[1:-1], np.bool_)
-    state, estimates = None, []
-    for k, (measured, gyro) in enumerate(zip(angles, rates, strict=True)):
-        valid = there if rate_valid is None else there & rate_valid[k]
-        imu = ImuSample(quaternion_from_euler(measured), gyro, np.zeros_like(gyro), there, valid, there)
-        inputs = FaultObserverInputs(imu, np.zeros_like(gyro))
-        start = state is None
-        state, estimate = observer.step(
-            observer.init(inputs) if start else state, inputs, 0.0 if start else dt
-        )
-        estimates.append(estimate)
+    """Estimates (n, ...) and last state for measured angles and rates (n, 3)."""
+    state, estimates = fly_arrays(observer, inputs_of(angles, rates, rate_valid), dt)
     return estimates, state
 
 
@@ -43,14 +43,13 @@ def test_step_fault_is_found_at_once_and_tracked_without_gyro_bias(rate):
     angles, rates = motion(time)
     fault = STEP * (time[:, None] >= 2.0)
     estimates, _ = flown(AugmentedKalman(vehicle=VEHICLE), angles + fault, rates, 1.0 / rate)
-    states = np.array([estimate.state for estimate in estimates])
-    errors = np.array([estimate.fault for estimate in estimates]) - fault
+    states, errors = estimates.state, estimates.fault - fault
     onset = 2 * rate
     assert np.all(states[rate // 2 : onset] == HEALTHY)
     assert np.all(states[onset + 1 :] == FAULTY)
     assert np.max(np.abs(errors[onset + 1 :])) < 0.05 * DEG
     assert np.max(np.abs(errors[:onset])) < 0.01 * DEG
-    np.testing.assert_allclose(estimates[-1].onset_age, time[-1] - 2.0, atol=2.0 / rate)
+    np.testing.assert_allclose(estimates.onset_age[-1], time[-1] - 2.0, atol=2.0 / rate)
 
 
 def noisy(rng, observer, time, shape, fault_walk=0.0):
@@ -72,8 +71,8 @@ def test_gyro_bias_is_found_without_calling_it_a_fault():
     estimates, state = flown(observer, measured, gyro, time[1])
     assert np.max(np.abs(bias)) > 0.2 * DEG
     assert np.max(np.abs(state.gyro_bias - bias)) < 0.02 * DEG
-    assert all(np.all(estimate.state < FAULTY) for estimate in estimates)
-    np.testing.assert_allclose(estimates[-1].corrected.body_rate, gyro[-1] - state.gyro_bias, rtol=1e-12)
+    assert np.all(estimates.state < FAULTY)
+    np.testing.assert_allclose(estimates.corrected.body_rate[-1], gyro[-1] - state.gyro_bias, rtol=1e-12)
 
 
 def test_errors_are_as_large_as_the_covariance_says():
@@ -84,7 +83,10 @@ def test_errors_are_as_large_as_the_covariance_says():
     measured, gyro, angles, bias, fault = noisy(
         np.random.default_rng(3), observer, time, (flights,), observer.fault_walk
     )
-    _, state = flown(observer, measured, gyro, time[1])
+    inputs = inputs_of(measured, gyro)
+    state = observer.init(rows_of(inputs, 0))
+    for k in range(len(time)):
+        state, _ = observer.step(state, rows_of(inputs, k), time[1] if k else 0.0)
     error = np.concatenate(
         [
             wrap(euler_from_quaternion(state.q_xyzw) - angles[-1]),
@@ -102,9 +104,9 @@ def test_fault_that_is_there_at_the_first_sample_is_taken_for_attitude():
     observer = AugmentedKalman(vehicle=VEHICLE, initial_fault=1.0 * DEG)
     still = np.zeros((500, 3))
     estimates, _ = flown(observer, still + STEP, still, 0.004)
-    np.testing.assert_allclose(estimates[-1].fault, 0.0, atol=1e-12)
-    np.testing.assert_allclose(euler_from_quaternion(estimates[-1].corrected.q_xyzw), STEP, atol=1e-12)
-    np.testing.assert_allclose(estimates[-1].std_dev, 1.0 * DEG, rtol=0.02)  # and the filter knows
+    np.testing.assert_allclose(estimates.fault[-1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(euler_from_quaternion(estimates.corrected.q_xyzw[-1]), STEP, atol=1e-12)
+    np.testing.assert_allclose(estimates.std_dev[-1], 1.0 * DEG, rtol=0.02)  # and the filter knows
 
 
 def test_missing_gyro_in_a_turn_is_no_fault():
@@ -113,5 +115,5 @@ def test_missing_gyro_in_a_turn_is_no_fault():
     absent = (time >= 1.6) & (time < 1.9)
     rates = np.where(absent[:, None], 50.0, rates)  # what stands there must not matter
     estimates, _ = flown(AugmentedKalman(vehicle=VEHICLE), angles, rates, time[1], ~absent)
-    assert np.max(np.abs([estimate.fault for estimate in estimates])) < 0.1 * DEG
-    assert all(np.all(estimate.state < FAULTY) for estimate in estimates)
+    assert np.max(np.abs(estimates.fault)) < 0.1 * DEG
+    assert np.all(estimates.state < FAULTY)

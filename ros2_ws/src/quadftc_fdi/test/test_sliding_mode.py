@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from in_c import fly_arrays
 
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode, implicit_injection
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
@@ -11,7 +12,6 @@ from quadftc_model.samples import FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("qball_x4")
-TRUE = np.bool_(True)
 AMPLITUDE, FREQUENCY, PHASE = np.array([0.3, 0.25, 0.5]), np.array([1.1, 0.9, 0.7]), np.array([0.0, 1.0, 2.0])
 
 
@@ -26,22 +26,16 @@ def still(_time):
     return np.zeros(3), np.zeros(3)
 
 
-def flown(observer, duration, fault, rate=250, motion=motion, gyro_bias=0.0, absent=(), torque=0.0):
+def flown(observer, duration, fault, rate=250, motion=motion, gyro_bias=0.0, absent=(0.0, 0.0), torque=0.0):
     """Times (n,), estimates (n, 3), corrected angles (n, 3) and the last state."""
     times = np.arange(round(duration * rate) + 1) / rate
-    state, estimates, corrected = None, [], []
-    for time in times:
-        angles, body_rate = motion(time)
-        there = TRUE if not absent or not absent[0] <= time < absent[1] else np.bool_(False)
-        q_xyzw = quaternion_from_euler(angles + fault(time))
-        imu = ImuSample(q_xyzw, body_rate + gyro_bias, np.zeros(3), there, TRUE, TRUE)
-        inputs = FaultObserverInputs(imu, np.zeros(3) + torque)
-        state, estimate = observer.step(
-            observer.init(inputs) if state is None else state, inputs, 1.0 / rate if time > 0.0 else 0.0
-        )
-        estimates.append(estimate.fault)
-        corrected.append(euler_from_quaternion(estimate.corrected.q_xyzw))
-    return times, np.array(estimates), np.array(corrected), state
+    angles, body_rate = (np.array(column) for column in zip(*map(motion, times), strict=True))
+    there, seen = np.ones(len(times), bool), (times < absent[0]) | (absent[1] <= times)
+    q_xyzw = quaternion_from_euler(angles + np.array([fault(time) for time in times]))
+    imu = ImuSample(q_xyzw, body_rate + gyro_bias, np.zeros_like(angles), seen, there, there)
+    inputs = FaultObserverInputs(imu, np.zeros_like(angles) + torque)
+    state, said = fly_arrays(observer, inputs, 1.0 / rate)
+    return times, said.fault, euler_from_quaternion(said.corrected.q_xyzw), state
 
 
 def smooth_fault(time):

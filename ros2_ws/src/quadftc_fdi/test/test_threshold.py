@@ -4,15 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from in_c import fly_arrays
 from scipy.optimize import brentq
 
 from quadftc_fdi.fault_observers.threshold import DEG, Threshold
+from quadftc_model.arrays import rows_of
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, SUSPECT, FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("qball_x4")
-TRUE = np.bool_(True)
 ROLL = np.array([1.0, 0.0, 0.0])
 
 
@@ -25,22 +26,15 @@ def motion(time):
 
 
 def flown(observer, measured, rates, dt, absent=None):
-    """Estimates for measured angles and rates (n, 3)."""
-    state, estimates = None, []
-    for k, (angles, gyro) in enumerate(zip(measured, rates, strict=True)):
-        there = TRUE if absent is None else np.bool_(not absent[k])
-        imu = ImuSample(quaternion_from_euler(angles), gyro, np.zeros(3), there, TRUE, TRUE)
-        inputs = FaultObserverInputs(imu, np.zeros(3))
-        start = state is None
-        state, estimate = observer.step(
-            observer.init(inputs) if start else state, inputs, 0.0 if start else dt
-        )
-        estimates.append(estimate)
-    return estimates
+    """Estimates (n, ...) for measured angles and rates (n, 3)."""
+    there, zeros = np.ones(len(rates), bool), np.zeros_like(rates)
+    seen = there if absent is None else ~absent
+    imu = ImuSample(quaternion_from_euler(measured), rates, zeros, seen, there, there)
+    return fly_arrays(observer, FaultObserverInputs(imu, zeros), dt)[1]
 
 
 def states_of(estimates, axis=0):
-    return np.array([estimate.state[axis] for estimate in estimates])
+    return estimates.state[:, axis]
 
 
 @pytest.mark.parametrize(("slope_deg", "rate"), [(12.0, 50), (30.0, 1000)])
@@ -84,7 +78,7 @@ def test_faulty_axis_is_dead_reckoned_and_the_others_are_measured():
     angles, rates = motion(time)
     fault = 25.0 * DEG * (time >= 1.0)[:, None] * ROLL
     offset = 0.001 * np.array([0.0, 1.0, 1.0]) * (time >= 2.0)[:, None]
-    last = flown(Threshold(vehicle=VEHICLE), angles + fault + offset, rates, time[1])[-1]
+    last = rows_of(flown(Threshold(vehicle=VEHICLE), angles + fault + offset, rates, time[1]), -1)
     assert last.state.tolist() == [FAULTY, HEALTHY, HEALTHY]
     np.testing.assert_allclose(last.fault, fault[-1], atol=0.05 * DEG)
     corrected = euler_from_quaternion(last.corrected.q_xyzw)
@@ -107,7 +101,7 @@ def test_gyro_bias_moves_the_estimate_and_only_patience_ends_the_fault():
     fault = 25.0 * DEG * ((time >= 1.0) & (time < 4.0))[:, None] * ROLL
     observer = Threshold(vehicle=VEHICLE, patience=patience)
     estimates = flown(observer, fault, np.zeros_like(fault) + bias * ROLL, time[1])
-    estimate = np.array([found.fault[0] for found in estimates])
+    estimate = estimates.fault[:, 0]
     drift = (estimate[900] - estimate[400]) / (time[900] - time[400])
     assert drift == pytest.approx(-bias, rel=0.01)
     states = states_of(estimates)
@@ -123,5 +117,5 @@ def test_absent_attitude_does_not_accumulate():
     measured = np.where(absent[:, None], 0.0, angles)
     estimates = flown(Threshold(vehicle=VEHICLE), measured, rates, time[1], absent)
     assert np.all(states_of(estimates) == HEALTHY)
-    corrected = np.array([euler_from_quaternion(estimate.corrected.q_xyzw) for estimate in estimates])
+    corrected = euler_from_quaternion(estimates.corrected.q_xyzw)
     assert np.max(np.abs(corrected - angles)) < 0.05 * DEG
