@@ -124,7 +124,7 @@ THREE = st.tuples(WILD, WILD, WILD).map(np.array)
 
 
 @EVERY_CONTROLLER
-@EVERY_VEHICLE
+@SOME_VEHICLES
 @settings(max_examples=15)
 @given(st.tuples(ANGLE, ANGLE, ANGLE).map(np.array), THREE, THREE, THREE, THREE, THREE, ANGLE)
 def test_tilt_and_thrust_are_within_their_limits_for_wild_inputs(
@@ -162,7 +162,7 @@ def test_same_inputs_give_the_same_command(name):
 
 
 @EVERY_CONTROLLER
-@EVERY_VEHICLE
+@SOME_VEHICLES
 def test_batch_and_jax_equal_the_loop(name, vehicle):
     jax = pytest.importorskip("jax")
     law = controller(name, vehicle)

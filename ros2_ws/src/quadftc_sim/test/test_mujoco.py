@@ -6,6 +6,7 @@ import sys
 import jax
 import numpy as np
 import pytest
+from in_c import moving
 from sampling import sampled
 
 from quadftc_model.parameters import build
@@ -66,12 +67,10 @@ def differences(vehicle, manoeuvre, **options):
     """How far the two plants come apart: position, velocity, attitude [deg], body rate."""
     pair = [plant_of(FreeFlight, vehicle), plant_of(Mujoco, vehicle, **options)]
     states = [plant.init(quaternion_from_euler(np.array([0.05, -0.1, 0.5])), np.zeros(3)) for plant in pair]
-    worst = np.zeros(4)
+    steps, worst = (moving(pair[0], 4), pair[1].step), np.zeros(4)
     for index in range(round(DURATION / DT)):
         speeds = vehicle.hover_speed * np.array(manoeuvre(vehicle, index * DT))
-        states = [
-            plant.step(state, speeds, index * DT, DT) for plant, state in zip(pair, states, strict=True)
-        ]
+        states = [step(state, speeds, index * DT, DT) for step, state in zip(steps, states, strict=True)]
         ours, theirs = states
         apart = np.abs(ours.q_xyzw @ theirs.q_xyzw)
         found = [
@@ -101,8 +100,9 @@ def test_vehicle_that_falls_to_the_ground_comes_to_rest_as_in_our_plant(name):
     for kind in (FreeFlight, Mujoco):
         plant = kind(vehicle=load_vehicle(name))
         state = plant.init(quaternion_from_euler(np.array([0.2, 0.1, 0.3])), np.zeros(3))
+        step = plant.step if kind is Mujoco else moving(plant, 4)
         for index in range(1000):
-            state = plant.step(state, np.zeros(4), index * DT, DT)
+            state = step(state, np.zeros(4), index * DT, DT)
         np.testing.assert_allclose(
             plant.specific_force(state, 4.0), [0.0, 0.0, STANDARD_GRAVITY], atol=0.01 * STANDARD_GRAVITY
         )
