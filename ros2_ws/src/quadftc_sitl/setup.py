@@ -19,4 +19,5 @@ setup(
     python_requires=">=3.10",
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
+    entry_points={"console_scripts": ["guardian = quadftc_sitl.executables:guardian"]},
 )

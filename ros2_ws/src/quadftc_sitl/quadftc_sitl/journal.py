@@ -22,6 +22,7 @@ HEALTH = {  # bit of SYS_STATUS -> what is healthy
 GOOD_ESTIMATE = (
     dialect.EKF_ATTITUDE | dialect.EKF_VELOCITY_HORIZ | dialect.EKF_VELOCITY_VERT | dialect.EKF_POS_HORIZ_ABS
 )
+IN_THE_AIR = (dialect.MAV_LANDED_STATE_IN_AIR, dialect.MAV_LANDED_STATE_UNDEFINED)  # if it says nothing
 GLITCH = 1 << 15  # flag EKF_GPS_GLITCHING of EKF_STATUS_REPORT
 ESTIMATES = ("estimate incomplete", "estimate complete", "GPS glitch, estimate incomplete", "GPS glitch")
 MODES = {
@@ -51,6 +52,7 @@ class Journal:
         self.mode = -1
         self.asked_mode = -1  # that we have asked for last
         self.armed = False
+        self.landed_state = dialect.MAV_LANDED_STATE_UNDEFINED
         self.may_disarm = True  # we have asked it to come down
         self.can_arm = False
         self.position = (math.nan,) * 3  # north, east, down from its origin, as it believes [m]
@@ -75,6 +77,20 @@ class Journal:
         words = [event.words for event in self.events if event.time >= since and event.kind == "text"]
         return list(dict.fromkeys(text for text in words if text.startswith(("PreArm:", "Arm:"))))
 
+    @property
+    def flies(self) -> bool:
+        """It is armed, and does not say that it is on the ground, takes off or lands."""
+        return self.armed and self.landed_state in IN_THE_AIR
+
+    @property
+    def mode_name(self) -> str:
+        """Its mode in words."""
+        return MODES.get(self.mode, str(self.mode))
+
+    def lane_since(self, since: float) -> bool:
+        """Return whether it has said since a time [s] that it uses another estimator."""
+        return any(event.kind == "lane" and event.time >= since for event in self.events)
+
     def _note(self, kind: str, words: str, serious: bool) -> None:
         self.events.append(Event(round(self.now, 4), kind, words, serious))
 
@@ -90,7 +106,7 @@ class Journal:
         if message.custom_mode != self.mode:
             self.mode = message.custom_mode
             is_ours = self.mode == self.asked_mode or self.asked_mode < 0
-            self._note("mode", f"mode {MODES.get(self.mode, self.mode)}", not is_ours)
+            self._note("mode", f"mode {self.mode_name}", not is_ours)
 
     def _on_statustext(self, message: Any) -> None:
         words = message.text.rstrip("\0")
@@ -112,6 +128,9 @@ class Journal:
             if before is not None and present & bit and (before ^ health) & bit:
                 good = bool(health & bit)
                 self._note("health", f"{name} {'healthy' if good else 'unhealthy'}", not good)
+
+    def _on_extended_sys_state(self, message: Any) -> None:
+        self.landed_state = message.landed_state
 
     def _on_ekf_status_report(self, message: Any) -> None:
         good = message.flags & GOOD_ESTIMATE == GOOD_ESTIMATE

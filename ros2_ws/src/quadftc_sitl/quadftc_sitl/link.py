@@ -11,8 +11,11 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_sitl.firmware import LOOPBACK
 
-GROUND, COMPONENT = 255, 190  # MAVLink numbers of a ground station
+GROUND = 255, 190  # MAVLink's system and component of a ground station
+ONBOARD = 1, dialect.MAV_COMP_ID_ONBOARD_COMPUTER  # and of a computer on the first vehicle
 PACKET = 65536  # bytes
+TEXT = 50  # bytes of a STATUSTEXT
+MIDDLE = 1500  # us; pulse of a stick
 MULTIROTORS = {
     dialect.MAV_TYPE_QUADROTOR: 4,
     dialect.MAV_TYPE_HEXAROTOR: 6,
@@ -23,12 +26,12 @@ MULTIROTORS = {
 class MavlinkLink:
     """The autopilot's first serial port. It speaks first; who else sends to the port is not heard."""
 
-    def __init__(self) -> None:
+    def __init__(self, address: str = LOOPBACK, port: int = 0, source: tuple[int, int] = GROUND) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((LOOPBACK, 0))
+        self._socket.bind((address, port))
         self._socket.setblocking(False)
         self._peer: Any = None
-        self._mavlink = dialect.MAVLink(self, srcSystem=GROUND, srcComponent=COMPONENT)
+        self._mavlink = dialect.MAVLink(self, srcSystem=source[0], srcComponent=source[1])
         self._mavlink.robust_parsing = True
         self.target = (1, 1)  # system and component of the autopilot
         self.strangers = 0  # packets from elsewhere
@@ -66,6 +69,14 @@ class MavlinkLink:
     def heartbeat(self) -> None:
         """Tell that there is a ground station."""
         self._mavlink.heartbeat_send(dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+
+    def tell(self, words: str) -> None:
+        """Send a text to whoever listens; the autopilot puts it into its log."""
+        self._mavlink.statustext_send(dialect.MAV_SEVERITY_WARNING, words.encode()[:TEXT])
+
+    def centre_sticks(self) -> None:
+        """Hold roll, pitch, throttle and yaw of the remote control in the middle."""
+        self._mavlink.rc_channels_override_send(*self.target, MIDDLE, MIDDLE, MIDDLE, MIDDLE, 0, 0, 0, 0)
 
     def command(self, number: int, *parameters: float) -> None:
         """Send a command with up to seven parameters."""

@@ -37,6 +37,7 @@ LOOK = 0.5  # s; how often it is looked whether the firmware lives
 PACKET = 2048  # bytes
 TILT, SPEED, FAR = math.radians(75.0), 2.5, 50.0  # rad, m/s, m; beyond these the vehicle is lost
 NEAR_GROUND = 0.1  # m; between the feet and the ground, where speed is that of an impact
+REST = 0.1  # m/s; slower it stands, near the ground
 
 
 class Physics:
@@ -128,6 +129,7 @@ class Fate:
         """Take the height at which it stands on the ground [m]."""
         self._stand, self._speed = stand, 0.0
         self.words = ""  # how it was lost; empty: it was not
+        self.stands = True  # on the ground, at rest
 
     def step(self, motion: Any, reference: PositionReference) -> bool:
         """Look at a sample of the flight; return whether the vehicle is lost."""
@@ -135,9 +137,11 @@ class Fate:
         tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
         off = math.dist(motion.position, reference.position)
         speed, self._speed = self._speed, math.sqrt(float(np.dot(motion.velocity, motion.velocity)))
+        near_ground = motion.position[2] < self._stand + NEAR_GROUND
+        self.stands = near_ground and self._speed < REST
         if self.words:
             return True
-        if motion.position[2] < self._stand + NEAR_GROUND and speed > SPEED:
+        if near_ground and speed > SPEED:
             self.words = f"hit the ground at {speed:.1f} m/s"
         elif tilt > TILT:
             self.words = f"tilted by {math.degrees(tilt):.0f} deg"

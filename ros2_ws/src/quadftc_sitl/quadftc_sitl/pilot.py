@@ -8,15 +8,17 @@ autopilot at the same sample in every flight.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_control.trajectory import combined
 from quadftc_sim.autopilot import to_ned
+from quadftc_sitl.commander import COMES_DOWN, MODE_NUMBERS, RETRY, TRIES, Commander, Steps
 from quadftc_sitl.firmware import SitlError
-from quadftc_sitl.journal import MODES, Journal
+from quadftc_sitl.guardian import Decision
+from quadftc_sitl.journal import Journal
 from quadftc_sitl.link import MULTIROTORS, MavlinkLink
 from quadftc_sitl.plan import OwnFault, SitlPlan
 
@@ -24,8 +26,6 @@ HOME = (-35.363262, 149.165237, 584.0)  # latitude, longitude [deg], height [m];
 DEGREE = 111318.84502145034  # m of latitude, as ArduPilot's Location has it
 TICK = 0.02  # s; between two steps
 SETPOINTS = 0.1  # s; between two setpoints
-RETRY = 1.0  # s; until something unanswered is sent again
-TRIES = 5
 TO_SPEAK, TO_BE_READY, TO_ARM, TO_CLIMB, TO_LAND = (
     60.0,
     60.0,
@@ -41,25 +41,25 @@ MESSAGES = {  # that it shall send -> Hz
     dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 10,
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10,
     dialect.MAVLINK_MSG_ID_HEARTBEAT: 10,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 10,
 }
-MODE_NUMBERS = {name: number for number, name in MODES.items()}
-
-Steps = Iterator[None]
 
 
-class Pilot:
+class Pilot(Commander):
     """An operator of one flight; call `step` at every sample until ``done``."""
 
     def __init__(self, plan: SitlPlan, link: MavlinkLink, begin: Callable[[], None]) -> None:
         """Take what to fly; ``begin`` is called at scenario time 0."""
-        self.journal, self.done, self.landed = Journal(), False, False
+        super().__init__(link, Journal())
+        self.done, self.landed = False, False
         self.began: float | None = None  # time at scenario time 0 [s]
         self.lost: float | None = None  # since when the vehicle is lost [s]; set from outside
-        self._plan, self._link, self._begin = plan, link, begin
+        self._plan, self._begin = plan, begin
         self._trajectories = tuple(part.law for part in plan.scenario.trajectories)
         self._first = combined(self._trajectories, 0.0)
         self._steps, self._next, self._beat = self._fly(), 0.0, 0.0
         self._were: dict[str, float] = {}  # values of parameters before faults
+        self._errands: list[Steps] = []  # of a guardian
 
     def step(self, now: float) -> None:
         """Hear what has come at a time [s], and go on."""
@@ -72,7 +72,19 @@ class Pilot:
         if now >= self._beat:
             self._beat = now + 1.0
             self._link.heartbeat()
+            if self.journal.asked_mode == MODE_NUMBERS["ALT_HOLD"]:
+                self._link.centre_sticks()
+        self._errands = [errand for errand in self._errands if next(errand, "end") is None]
         self.done = next(self._steps, "end") is not None
+
+    def obey(self, decision: Decision) -> None:
+        """Carry out a guardian's decision beside the mission, which ends where the mode changes."""
+        self._errands.append(self.carry_out(decision))
+
+    @property
+    def flies(self) -> bool:
+        """The vehicle is in the air, and not lost."""
+        return self.journal.armed and self.lost is None
 
     def reference(self, now: float) -> Any:
         """Return where the vehicle shall be at a time [s], `PositionReference`; before 0 where it begins."""
@@ -105,8 +117,7 @@ class Pilot:
         if MULTIROTORS.get(journal.kind or 0) != rotors:
             raise SitlError(f"another vehicle answers: MAV_TYPE {journal.kind}, expected {rotors} rotors")
         self._link.target = journal.source
-        for message, rate in MESSAGES.items():
-            yield from self._command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
+        yield from self.ask_messages(MESSAGES)
         version = float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         yield from self._command(dialect.MAV_CMD_REQUEST_MESSAGE, version)
 
@@ -189,8 +200,8 @@ class Pilot:
     def _follow(self) -> Steps:
         """Follow the trajectories for the length of the scenario, and put its own faults on and off."""
         begin = self.journal.now
-        while self.journal.now < begin + self._plan.scenario.duration and self._flies():
-            if self._plan.section.mode == "guided":
+        while self.journal.now < begin + self._plan.scenario.duration and self.flies:
+            if self.journal.asked_mode == MODE_NUMBERS["GUIDED"]:
                 self._send_setpoint()
             for fault in self._plan.section.faults:
                 self._set_fault(fault, self.journal.now - begin)
@@ -198,15 +209,12 @@ class Pilot:
 
     def _come_down(self) -> Steps:
         """Land, unless the vehicle is lost."""
-        if self._flies():
-            self.journal.may_disarm = True
-            yield from self._set_mode(self._plan.section.end.upper())
-            yield from self._until(lambda: not self._flies(), TO_LAND)
+        if self.flies:
+            if self.journal.asked_mode not in COMES_DOWN:
+                yield from self._set_mode(self._plan.section.end.upper())
+            yield from self._until(lambda: not self.flies, TO_LAND)
         self.landed = not self.journal.armed and self.lost is None
         yield from self._pause(AFTERWARDS)
-
-    def _flies(self) -> bool:
-        return self.journal.armed and self.lost is None
 
     def _send_setpoint(self) -> None:
         """Send where to be now; its origin is where it stood at first."""
@@ -230,28 +238,10 @@ class Pilot:
                 self._link.set_parameter(name, wanted)
 
     def _set_mode(self, name: str) -> Steps:
-        """Change the mode; a refusal is an error."""
-        self.journal.asked_mode = MODE_NUMBERS[name]
-        flags = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
-        answer = yield from self._command(dialect.MAV_CMD_DO_SET_MODE, flags, float(MODE_NUMBERS[name]))
+        """Change the mode; a refusal before scenario time 0 is an error."""
+        answer = yield from self._ask_mode(name)
         if answer != dialect.MAV_RESULT_ACCEPTED and self.began is None:
             raise SitlError(f"mode {name} refused: MAV_RESULT {answer}")
-
-    def _command(self, number: int, *parameters: float) -> Iterator[Any]:
-        """Send a command until it is answered; return its MAV_RESULT, None without an answer."""
-        self.journal.acknowledged.pop(number, None)
-        for _ in range(TRIES):
-            self._link.command(number, *parameters)
-            if (yield from self._until(lambda: number in self.journal.acknowledged, RETRY)):
-                return self.journal.acknowledged[number]
-        return None
-
-    def _until(self, condition: Callable[[], bool], patience: float) -> Iterator[Any]:
-        """Wait for a condition, so many seconds at most; return whether it holds."""
-        end = self.journal.now + patience
-        while not condition() and self.journal.now < end:
-            yield
-        return condition()
 
     def _wait(self, condition: Callable[[], bool], patience: float, words: Callable[[], str]) -> Steps:
         """Wait for a condition; a `SitlError` if it does not come true in time."""

@@ -8,6 +8,8 @@ The key is optional; any scenario of free flight can be flown without it:
       parameters: {ARMING_CHECK: 1}
       faults:                   # the autopilot's own simulated ones, set as parameters and put back
         - {set: {SIM_GYR1_BIAS_X: 0.3}, start: 20 s, stop: 25 s}
+      guard:                    # what is done about what our observer names; else nothing
+        {actions: {gyro: land, rotor 1: tell}, after: 0.3 s, ambiguous: false}
       checks:
         - {metric: survived, above: 0.5}
       catalogue:                # flights of `quadftc sitl --catalogue`, each with its faults
@@ -52,6 +54,8 @@ COMPONENTS = {
     "SIM_GPS": "gps",
     "SIM_ENGINE": "rotor",
 }
+ACTIONS = ("tell", "lane", "alt_hold", "land", "rtl")
+FINDING = "^(attitude( (roll|pitch|yaw))?|(gyro|accelerometer)( [xyz])?|rotor( [1-9][0-9]?)?)$"
 PARAMETER = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 
 
@@ -95,6 +99,18 @@ class OwnFault(_Shape):
         return math.inf if self.stop is None else self.stop
 
 
+class Guard(_Shape):
+    """What a guardian does about a diagnosis: an action for a component, or for one of its elements."""
+
+    actions: dict[Annotated[str, Field(pattern=FINDING)], Annotated[str, _one_of(*ACTIONS)]] = {}
+    after: Seconds = 0.3  # for which a fault has to be named without a break [s]
+    ambiguous: bool = False  # act although it may be a component with another action, or with none
+
+    def action_of(self, finding: str) -> str:
+        """Return the action for a component and element; empty: none."""
+        return self.actions.get(finding) or self.actions.get(finding.partition(" ")[0], "")
+
+
 class Entry(_Shape):
     """A flight of a catalogue: the scenario with other faults; ours, the autopilot's own, or both."""
 
@@ -110,6 +126,7 @@ class Section(_Shape):
     end: Annotated[str, _one_of("land", "rtl")] = "land"
     parameters: dict[ParameterName, ParameterValue] = {}
     faults: tuple[OwnFault, ...] = ()
+    guard: Guard = Guard()
     checks: tuple[Check, ...] = ()
     catalogue: tuple[Entry, ...] = ()
 
@@ -182,7 +199,7 @@ def _section_of(document: Document) -> Section:
 
 
 def _model_at(path: Sequence[str | int]) -> type[BaseModel]:
-    inside = {"faults": OwnFault, "checks": Check, "catalogue": Entry, "own": OwnFault}
+    inside = {"faults": OwnFault, "guard": Guard, "checks": Check, "catalogue": Entry, "own": OwnFault}
     names = [inside[str(key)] for key in path if key in inside]
     return names[-1] if names else Section
 

@@ -16,6 +16,7 @@ from rosbags.typesys import get_types_from_msg
 from quadftc_bags.bag_file import BagFile
 from quadftc_bags.bag_format import TopicRecord
 from quadftc_bags.cdr.arrays import encode_topic
+from quadftc_bags.cdr.writer import MessageWriter
 from quadftc_bags.interfaces import load_interface
 from quadftc_model.samples import ABSENT, DiagnosisReport
 from quadftc_ros.diagnosis_wire import DiagnosisWire
@@ -31,7 +32,9 @@ IMU_FIELDS = (  # field of the message, whether it is there, and field of an `Im
     ("angular_velocity", "rate_valid", "body_rate"),
     ("linear_acceleration", "force_valid", "specific_force"),
 )
-RECORDED = ("imu/data", "rotors/command", "rotors/speed", "plant/odometry", "diagnosis")
+DIAGNOSTICS = "/diagnostics"
+WARNS = 1  # diagnostic_msgs/DiagnosticStatus.WARN
+RECORDED = ("imu/data", "rotors/command", "rotors/speed", "plant/odometry", "diagnosis", DIAGNOSTICS)
 
 
 class Recorder:
@@ -51,7 +54,7 @@ class Recorder:
             row = TOPICS[topic]
             interface = load_interface(row.type_name)
             self._file.add_topic(
-                TopicRecord(f"/{topic}", row.type_name, interface.type_hash, "", interface.text)
+                TopicRecord(f"/{topic.lstrip('/')}", row.type_name, interface.type_hash, "", interface.text)
             )
 
     def note(self, shown: Shown, commanded_ns: int | None) -> None:
@@ -87,6 +90,16 @@ class Recorder:
     def report(self, report: DiagnosisReport) -> None:
         """Note what the diagnosis says."""
         self._messages.append((report.stamp_ns, self._channels["diagnosis"], self._write_report(report)))
+
+    def tell(self, stamp_ns: int, name: str, words: str) -> None:
+        """Note a diagnostic status, a warning, at a stamp [ns]."""
+        writer = MessageWriter(stamp_ns)
+        writer.number("I", 1)
+        writer.number("B", WARNS)
+        for text in (name, words, ""):
+            writer.text(text)
+        writer.number("I", 0)
+        self._messages.append((stamp_ns, self._channels[DIAGNOSTICS], writer.data))
 
     def close(self) -> None:
         """Write what is left, and close the bag."""

@@ -123,6 +123,7 @@ def metrics_of(result: Mapping[str, Any], errors: Sequence[float]) -> dict[str, 
         "diagnose_named": sum(bool(fault["diagnose"]["named"]) for fault in faults),
         "observer_false": len(_false(faults, result["observer_said"], "time")),
         "diagnose_false": len(_false(faults, result["diagnose"]["findings"], "onset")),
+        "guardian_actions": sum(not each["refused"] for each in result["guardian"]["decisions"]),
         "autopilot_false": sum(
             event["serious"]
             and event["time"] >= 0.0

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import time
@@ -28,6 +29,7 @@ from quadftc_sitl.firmware import (
     open_sockets,
     parameter_file,
 )
+from quadftc_sitl.guardian import Guardian
 from quadftc_sitl.link import MavlinkLink
 from quadftc_sitl.physics import Fate, Physics, PhysicsSocket
 from quadftc_sitl.pilot import HOME, Pilot
@@ -109,6 +111,8 @@ class Flight:
         self._recorder, self._link = recorder, link
         self._pilot = Pilot(plan, link, physics.begin)
         self._fate = Fate(physics.stand)
+        self._guardian = Guardian(plan.section.guard)
+        self._heard = 0  # reports of the observer
         self._sockets: list[str] = []
         self.errors: list[float] = []  # distance from the reference at each sample of the mission [m]
 
@@ -148,11 +152,24 @@ class Flight:
         pilot.step(now)
         if pilot.began is None or pilot.done or pilot.landed:
             return
+        self._guard()
         wanted = pilot.reference(now)
         if now <= pilot.began + self._plan.scenario.duration:
             self.errors.append(math.dist(shown.emission.flight.position, wanted.position))
         if self._fate.step(shown.emission.flight, wanted) and pilot.lost is None:
             pilot.lost = now
+
+    def _guard(self) -> None:
+        """Let the guardian hear what the observer has said of a vehicle that flies."""
+        reports, pilot = self._physics.reports, self._pilot
+        for report in reports[self._heard :] if pilot.flies and pilot.journal.flies else ():
+            before = len(self._guardian.decisions)
+            decision = self._guardian.step(report, pilot.journal.mode_name)
+            for each in self._guardian.decisions[before:]:
+                self._recorder.tell(report.stamp_ns, "guardian", each.words)
+            if decision is not None:
+                pilot.obey(decision)
+        self._heard = len(reports)
 
     def result(self, arguments: list[str], wall_time: float) -> dict[str, Any]:
         """Return what is known without the firmware's log."""
@@ -161,8 +178,9 @@ class Flight:
         scenario = plan.scenario
         faults = describe_faults(plan)
         events = [event._replace(time=round(event.time - zero, 3)) for event in journal.events]
-        survived = pilot.lost is None and pilot.landed
-        ended = self._fate.words or ("landed" if pilot.landed else "still flying when time was up")
+        survived = pilot.lost is None and (pilot.landed or self._fate.stands)
+        stands = "stands with its motors running" if self._fate.stands else "still flying when time was up"
+        ended = self._fate.words or ("landed" if pilot.landed else stands)
         for fault in faults:
             fault["autopilot"] = noticed(fault, events)
             fault["observer"] = observed(fault, physics.reports, physics.begin_ns or 0)
@@ -187,11 +205,19 @@ class Flight:
             "lost_s": None if pilot.lost is None else round(pilot.lost - zero, 3),
             "faults": faults,
             "observer_said": observed_all(physics.reports, physics.begin_ns or 0, scenario.duration),
+            "guardian": self._guarded(),
             "autopilot_said": [event._asdict() for event in events],
             "real_time_factor": physics.now / wall_time if wall_time > 0.0 else None,
             "recorded": {"messages": sum(self._recorder.counts.values()), "problem": "; ".join(words)},
             "versions": {"quadftc": software_version(), "pymavlink": version("pymavlink")},
         }
+
+    def _guarded(self) -> dict[str, Any]:
+        """Return what the guardian was to do, and what it decided, in the time of the scenario."""
+        begin = 1e-9 * (self._physics.begin_ns or 0)
+        decided = [dataclasses.asdict(each) for each in self._guardian.decisions]
+        decided = [{**each, "time": round(each["time"] - begin, 3)} for each in decided]
+        return {**self._plan.section.guard.model_dump(), "decisions": decided}
 
 
 def observed_all(reports: Any, begin_ns: int, duration: float) -> list[dict[str, Any]]:

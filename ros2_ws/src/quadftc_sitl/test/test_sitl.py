@@ -90,6 +90,20 @@ def test_flight_ends_with_one_summary_of_all_that_was_said(flown, capsys, tmp_pa
     assert {round(value, 6) for value in gyro.tolist()} == {0.0, 0.2}
 
 
+def test_guardian_lands_the_vehicle_and_its_decision_is_in_summary_and_bag(flown, capsys):
+    code, folder = flown("--guard", "gyro=land", "--guard", "attitude=land", "--set", "autopilot.checks=[]")
+    found = json.loads((folder / "sitl.json").read_text())
+    assert code == 0
+    (decision,) = [each for each in found["guardian"]["decisions"] if not each["refused"]]
+    assert decision["time"] == pytest.approx(1.3, abs=0.15)  # the fault begins at 1 s
+    assert (decision["action"], decision["answer"]) == ("land", "MAV_RESULT_ACCEPTED, mode LAND")
+    assert found["metrics"]["guardian_actions"] == 1
+    assert found["ended"] == "landed"
+    assert not [each for each in found["autopilot_said"] if each["words"] == "disarmed" and each["serious"]]
+    assert "offset: land, MAV_RESULT_ACCEPTED" in capsys.readouterr().out
+    assert read_bag(folder / "bag").topics["/diagnostics"].count == len(found["guardian"]["decisions"])
+
+
 @pytest.mark.parametrize(
     ("way", "words"),
     [

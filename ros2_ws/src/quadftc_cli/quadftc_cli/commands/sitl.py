@@ -32,6 +32,13 @@ def sitl(
     ] = [],  # noqa: B006
     scheme: Annotated[str, Option(help="Whose observer runs beside; default: the scenario's first.")] = "",
     set_: options.SetOption = [],  # noqa: B006
+    guard: Annotated[
+        list[str],
+        Option(
+            metavar="FINDING=ACTION",
+            help="What is done when our observer names a fault, such as gyro=land; may be repeated.",
+        ),
+    ] = [],  # noqa: B006
     seed: Annotated[str, Option(help="Seed of the random numbers.")] = "",
     catalogue: Annotated[
         bool, Option("--catalogue", help="Fly all of the scenario's catalogue, not the scenario.")
@@ -55,6 +62,7 @@ def sitl(
     if not binary.is_file():
         raise ValueError(f"{binary}: no such file; expected the firmware's simulation")
     overrides = [*set_, *([f"seed={seed}"] if seed else [])]
+    overrides += [f"autopilot.guard.actions.{each}" for each in guard]
     document = changed_document(find_scenario(scenario), overrides)
     given = {name: value for file in parameters for name, value in read_parameters(file).items()}
     if catalogue:
@@ -117,6 +125,9 @@ def _show_flight(flight: Mapping[str, Any]) -> None:
             f"  observer:  {own}",
             f"  diagnose:  {_told(judged, ', '.join(judged['as']))}",
         )
+    for each in flight["guardian"]["decisions"]:
+        what = f"refused, {each['refused']}" if each["refused"] else each["answer"] or "done"
+        say(f"guardian: {each['time']:.2f} s  {each['finding']} {each['kind']}: {each['action']}, {what}")
     autopilot = flight["autopilot"]
     say(f"{flight['name']}: {'survived' if flight['survived'] else 'LOST'}, {flight['ended']}")
     said = [event for event in flight["autopilot_said"] if event["serious"] and event["time"] >= 0.0]

@@ -1,0 +1,71 @@
+# pyright: basic
+"""Commands to an autopilot, sent until they are answered, one step after the other between two samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from quadftc_sitl.guardian import Decision
+from quadftc_sitl.journal import MODES, Journal
+from quadftc_sitl.link import MavlinkLink
+
+RETRY = 1.0  # s; until something unanswered is sent again
+TRIES = 5
+EKF_LANE_SWITCH, HIGH = 103.0, 2.0  # auxiliary function of ArduPilot, and position of its switch
+MODE_NUMBERS = {name: number for number, name in MODES.items()}
+COMES_DOWN = (MODE_NUMBERS["LAND"], MODE_NUMBERS["RTL"])
+RESULTS = {number: entry.name for number, entry in dialect.enums["MAV_RESULT"].items()}
+
+Steps = Iterator[None]
+
+
+class Commander:
+    """Sends commands; each method is a generator that is stepped whenever ``journal.now`` has moved on."""
+
+    def __init__(self, link: MavlinkLink, journal: Journal) -> None:
+        self.journal, self._link = journal, link
+
+    def ask_messages(self, rates: Mapping[int, float]) -> Steps:
+        """Ask for messages by their numbers, each at a rate [Hz]."""
+        for message, rate in rates.items():
+            yield from self._command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
+
+    def carry_out(self, decision: Decision) -> Steps:
+        """Tell of a guardian's decision, do it, and note what the autopilot answers."""
+        self._link.tell(f"guardian: {decision.words}")
+        if decision.action == "lane":
+            since = self.journal.now
+            answer = yield from self._command(dialect.MAV_CMD_DO_AUX_FUNCTION, EKF_LANE_SWITCH, HIGH)
+            switched = yield from self._until(lambda: self.journal.lane_since(since), RETRY)
+            decision.answer = f"{RESULTS.get(answer, 'no answer')}, {'another' if switched else 'same'} lane"
+        elif decision.action != "tell":
+            name = decision.action.upper()
+            answer = yield from self._ask_mode(name)
+            yield from self._until(lambda: self.journal.mode == MODE_NUMBERS[name], RETRY)
+            decision.answer = f"{RESULTS.get(answer, 'no answer')}, mode {self.journal.mode_name}"
+
+    def _ask_mode(self, name: str) -> Iterator[Any]:
+        """Ask for a mode; return the MAV_RESULT."""
+        number = self.journal.asked_mode = MODE_NUMBERS[name]
+        self.journal.may_disarm |= number in COMES_DOWN
+        flags = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+        return (yield from self._command(dialect.MAV_CMD_DO_SET_MODE, flags, float(number)))
+
+    def _command(self, number: int, *parameters: float) -> Iterator[Any]:
+        """Send a command until it is answered; return its MAV_RESULT, None without an answer."""
+        self.journal.acknowledged.pop(number, None)
+        for _ in range(TRIES):
+            self._link.command(number, *parameters)
+            if (yield from self._until(lambda: number in self.journal.acknowledged, RETRY)):
+                return self.journal.acknowledged[number]
+        return None
+
+    def _until(self, condition: Callable[[], bool], patience: float) -> Iterator[Any]:
+        """Wait for a condition, so many seconds at most; return whether it holds."""
+        end = self.journal.now + patience
+        while not condition() and self.journal.now < end:
+            yield
+        return condition()
