@@ -126,16 +126,12 @@ def test_metrics_are_those_of_the_records_and_bold_where_they_reach_the_target()
         metric_table(MEMS, {"supervised": sum_up(frame_of({})), "threshold": sum_up(frame_of({}, MISSED))})
     )
     assert rows[""] == ["target", "`supervised`", "`threshold`"]
-    assert rows["faults"] == ["-", "1", "2"]
     assert rows["missed (declared before the onset)"] == ["0 (0)", "**0 (0)**", "1 (0)"]
     assert rows["delay, step, max"] == ["20 ms", "**8 ms**", "8 ms"]  # one fault was missed
     assert rows["delay, ramp, median"] == ["500 ms", "-", "-"]
     assert rows["RMSE of the estimate, median / 95 %"][:2] == ["0.08 / 0.25 deg", "**0.05 / 0.05 deg**"]
     assert rows["RMSE of the estimate, median / 95 %"][2] == "0.775 / 1.43 deg"
     assert rows["false alarms, share of healthy time"] == ["0 %", "1 %", "1 %"]
-    assert rows["longest false alarm"] == ["-", "20 s", "20 s"]
-    assert rows["recovery delay, median / 95 %"] == ["-", "700 / 700 ms", "700 / 700 ms"]
-    assert rows["errors within 2 standard deviations"] == ["-", "95 %", "95 %"]
 
 
 def test_isolating_has_no_column_of_its_own():
@@ -152,13 +148,13 @@ def test_observer_without_detector_is_judged_by_the_size_of_its_estimate():
     assert rows["false alarms, share of healthy time"] == ["0 %", "10 %"]
 
 
-def test_alarms_of_healthy_flights_are_those_of_each_recording_and_of_all():
+def test_alarms_of_healthy_flights_are_those_of_all_recordings():
     rows = [{**flown(number, "supervised"), "recording": name} for number, name in enumerate("ab")]
     rows[1] |= {"false_alarms.roll": 0, "false_alarm_time_s.roll": 0.0, "longest_false_alarm_s.roll": 0.0}
     found = sum_up_healthy(table_of(rows))
-    assert found["a"] == {"share": pytest.approx(0.01), "alarms": 2.0, "longest_s": 20.0}
+    assert found == {"share": pytest.approx(0.005), "alarms": 2.0, "longest_s": 20.0}
     lines = healthy_table({"supervised": found}).splitlines()
-    assert lines[2:] == ["| a | 1 % (2, longest 20 s) |", "| b | 0 % |", "| all | 0.5 % (2, longest 20 s) |"]
+    assert lines[2:] == ["| all recordings | 0.5 % (2, longest 20 s) |"]
 
 
 def test_outliers_are_counted_by_their_length_and_the_declaration_after_them_is_timed():

@@ -19,7 +19,6 @@ from quadftc_tools.study.robustness_tables import (
     SIZES,
     STUDIES,
     TABLED,
-    missed_table,
     share_missed,
     tracking_table,
     typical,
@@ -115,10 +114,11 @@ def test_document_gets_its_tables_and_figures(tmp_path):
     frames[SIZES] = pl.DataFrame(table(99)).with_columns(
         pl.Series(name, each) for name, each in sizes.items()
     )
-    tables = {f"{SIZES}-missed": missed_table(frames[SIZES])}
-    for study in STUDIES:
-        if study.name in TABLED:
-            tables[f"{study.name}-tracking"] = tracking_table(study, frames[study.name])
+    tables = {
+        f"{study.name}-tracking": tracking_table(study, frames[study.name])
+        for study in STUDIES
+        if study.name in TABLED
+    }
     marks = [f"<!-- table: {name} -->\n<!-- end -->\n" for name in tables]
     (tmp_path / "robustness.md").write_text("".join(marks))
     files = publish(tmp_path / "robustness.md", *make(frames))
@@ -159,5 +159,5 @@ def test_new_observer_takes_part_in_every_study(monkeypatch):
 
 def test_document_has_a_place_for_every_table():
     text = (ROOT / "docs" / "robustness.md").read_text(encoding="utf-8")
-    keys = [*(f"{name}-tracking" for name in TABLED), f"{SIZES}-missed"]
+    keys = [f"{name}-tracking" for name in TABLED]
     assert [key for key in keys if f"<!-- table: {key} -->" not in text] == []

@@ -10,7 +10,6 @@ from quadftc_tools.study.numbers import (
     Values,
     write_band,
     write_bracketed,
-    write_count,
     write_degrees,
     write_per_cent,
     write_times,
@@ -81,20 +80,15 @@ def metric_table(criteria: Criteria, observers: Json) -> str:
 def _rows(criteria: Criteria) -> tuple[_Row, ...]:
     rmse = (criteria.rmse_median_deg, criteria.rmse_p95_deg)
     return (
-        _Row("faults", ("faults",), write_count),
         _Row("missed (declared before the onset)", ("missed", "already"), write_bracketed, (0, 0)),
         _Row("delay, step, max", ("step",), write_times, (criteria.step_max_s,), True),
         _Row("delay, ramp, median", ("ramp",), write_times, (criteria.ramp_median_s,), True),
         _Row("delay, sine, median", ("sine",), write_times, (criteria.sine_median_s,), True),
         _Row("RMSE of the estimate, median / 95 %", ("rmse_median", "rmse_p95"), write_degrees, rmse),
-        _Row("error of the estimate, max", ("max",), write_degrees),
         _Row(
             "false alarms, share of healthy time", ("share",), write_per_cent, (criteria.false_alarm_share,)
         ),
-        _Row("longest false alarm", ("longest",), write_times),
-        _Row("recovery delay, median / 95 %", ("recovery", "recovery_p95"), write_times),
         _Row("NEES [chi-square band, 95 %]", ("nees", "nees_low", "nees_high"), write_band),
-        _Row("errors within 2 standard deviations", ("coverage_2_sigma",), write_per_cent),
     )
 
 
@@ -105,20 +99,15 @@ def _view(observer: str, pooled: Json) -> dict[str, float | None]:
     of_all = {
         "rmse_median": "estimate_rmse_median_deg",
         "rmse_p95": "estimate_rmse_p95_deg",
-        "max": "estimate_max_deg",
-        "recovery": "recovery_delay_median_s",
-        "recovery_p95": "recovery_delay_p95_s",
-        **{name: name for name in ("nees", "nees_low", "nees_high", "coverage_2_sigma")},
+        **{name: name for name in ("nees", "nees_low", "nees_high")},
     }
     return {
-        "faults": pooled["fault_count"],
         "missed": said["missed"],
         "already": said["already_declared" if detector else "already_above"],
         "step": said["delay_max_s"].get("step"),
         "ramp": said["delay_median_s"].get("ramp"),
         "sine": said["delay_median_s"].get("sine"),
         "share": said["total_false_alarm_share"],
-        "longest": max(pooled["longest_false_alarm_s"].values()) if detector else None,
         **{name: pooled[metric]["all"] for name, metric in of_all.items()},
     }
 

@@ -33,7 +33,7 @@ from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.plan import FROM_GYRO
-from quadftc_tools.study.intervals import poisson_interval, share_interval
+from quadftc_tools.study.intervals import poisson_interval
 from quadftc_tools.study.league_flights import FLOWN, fly_log
 from quadftc_tools.study.league_logs import cut, read_healthy, read_labels
 from quadftc_tools.study.league_others import OTHERS_HEADINGS, PX4_HEADINGS, other_rows, px4_rows
@@ -188,7 +188,7 @@ def around(log: FlightLog, onset: float) -> FlightLog:
 
 
 def case_cell(judge: Judge, logs: Sequence[FlightLog], title: str, is_offline: bool) -> str:
-    """Shares of the faults of a case that are detected, and isolated, with their intervals [%]."""
+    """Shares of the faults of a case that are detected, and isolated [%]."""
     cases, detected, isolated = 0, 0, 0
     for log in logs:
         for fault in faults_on(log, title):
@@ -202,12 +202,8 @@ def case_cell(judge: Judge, logs: Sequence[FlightLog], title: str, is_offline: b
             cases += 1
             detected += any(abs(each.onset - fault.onset) < SEEN for each in named)
             isolated += any(abs(each.onset - fault.onset) < fault.close for each in right)
-    return f"{_share(detected, cases)} / {_share(isolated, cases)} of {cases}" if cases else NOTHING
-
-
-def _share(hits: int, cases: int) -> str:
-    low, high = share_interval(hits, cases)
-    return f"{100.0 * hits / cases:.0f} [{100.0 * low:.0f}, {100.0 * high:.0f}]"
+    shares = (f"{100.0 * hits / max(cases, 1):.0f}" for hits in (detected, isolated))
+    return f"{' / '.join(shares)} of {cases}" if cases else NOTHING
 
 
 def watch(judge: Judge, logs: Sequence[FlightLog]) -> Watch:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from quadftc_tools.study.page import FLIGHTS, RESULTS, Drawers, Tables, run_study
 from quadftc_tools.study.robustness_figures import draw_sizes, draw_study
-from quadftc_tools.study.robustness_tables import SIZES, STUDIES, TABLED, missed_table, tracking_table
+from quadftc_tools.study.robustness_tables import SIZES, STUDIES, TABLED, tracking_table
 
 
 def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
@@ -38,7 +38,6 @@ def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
             tables[f"{study.name}-tracking"] = tracking_table(study, frames[study.name])
         drawers[f"robustness_{study.name}"] = functools.partial(draw_study, study, frames[study.name])
     if SIZES in frames:
-        tables[f"{SIZES}-missed"] = missed_table(frames[SIZES])
         drawers[f"robustness_{SIZES}"] = functools.partial(draw_sizes, frames[SIZES])
     return tables, drawers
 

@@ -150,16 +150,6 @@ def tracking_table(study: Study, frame: pl.DataFrame) -> str:
     return _table(first, rows, lambda cell: _pair(typical(cell, TRACKING.metric)))
 
 
-def missed_table(frame: pl.DataFrame) -> str:
-    """Share of the faults that are missed, by kind and size."""
-    rows = [
-        (f"{sized.title}, {low:g} to {high:g}", cell)
-        for sized in SIZED
-        for low, high, cell in bins(sized, frame, sized.edges)
-    ]
-    return _table("fault", rows, lambda cell: _share(share_missed(cell)))
-
-
 def _row_name(grade: str, value: float) -> str:
     return ", ".join(filter(None, [GRADES.get(grade, ""), f"{value:g}"]))
 
@@ -186,7 +176,3 @@ def _number(value: float) -> str:
     value = float(f"{value:.1e}")
     digits = max(1 - math.floor(math.log10(abs(value))), 0)
     return f"{value:.{min(digits, 4)}f}"
-
-
-def _share(value: float | None) -> str:
-    return NOTHING if value is None or math.isnan(value) else f"{100.0 * value:.0f} %"

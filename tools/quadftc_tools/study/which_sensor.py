@@ -34,10 +34,7 @@ OVERVIEW = (
     *("named after, median / 95 %", "largest error, 95 % / worst"),
     "over that without diagnosis, 95 % / worst",
 )
-KINDS = (
-    *("fault", "flights", "named", "misnamed at some time", "ambiguous", "named after, median / largest"),
-    "largest error, 95 % / worst",
-)
+SENSORS = ("attitude", "gyro", "accelerometer")
 HEALTHY = ("", "flights", "any sensor declared", "lost", "largest error, 95 % / worst")
 
 
@@ -78,23 +75,18 @@ def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
 
 
 def kinds_table(faults: pl.DataFrame) -> str:
-    """Table of each kind of fault of each sensor, of one observer."""
-    groups = faults.partition_by("fault.component", "fault.kind", as_dict=True)
-    rows = []
-    for (sensor, kind), part in sorted(groups.items()):
-        flights = whole_flights(part)
-        rows.append(
-            (
-                f"{sensor}: {kind}",
-                str(flights.height),
-                write_per_cent((_mean(part, "fault.named"),)),
-                write_per_cent((_misnamed(part),)),
-                write_per_cent((_mean(part, "fault.ambiguous_share"),)),
-                write_times((_quantile(part, DELAY, 0.5), _max(part, DELAY))),
-                write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
-            )
-        )
-    return markdown(KINDS, rows)
+    """Named, ambiguous and worst error of each kind of fault; a column for each sensor."""
+    groups = faults.partition_by("fault.kind", "fault.component", as_dict=True)
+    kinds = sorted({kind for kind, _ in groups})
+    rows = [(kind, *(_kind_cell(groups.get((kind, sensor))) for sensor in SENSORS)) for kind in kinds]
+    return markdown(("fault", *SENSORS), rows)
+
+
+def _kind_cell(part: pl.DataFrame | None) -> str:
+    if part is None:
+        return "-"
+    shares = (write_per_cent((_mean(part, name),)) for name in ("fault.named", "fault.ambiguous_share"))
+    return " / ".join((*shares, write_degrees((_max(whole_flights(part), ERROR),))))
 
 
 def confusion_table(faults: pl.DataFrame) -> str:
