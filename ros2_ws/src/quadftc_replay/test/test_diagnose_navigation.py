@@ -126,6 +126,48 @@ def test_offset_of_a_magnetometer_is_named_with_its_axis(magnetometers: int):
     assert found.size == pytest.approx(-300.0, abs=2.0 * found.sigma)
 
 
+def test_sensors_that_turn_noisy_are_named():
+    rng = np.random.default_rng(2)
+
+    def noisy(sigma: float) -> Change:
+        def change(signal: Signal) -> Signal:
+            late = (signal.time >= ONSET)[:, None]
+            return Signal(signal.time, signal.value + sigma * late * rng.standard_normal(signal.value.shape))
+
+        return change
+
+    for field, sigma, component in (
+        ("magnetometers", 40.0, "magnetometer"),
+        ("barometers", 4.0, "barometer"),
+        ("gps_positions", 8.0, "gps"),
+    ):
+        found = first_of(changed(fly(), **{field: noisy(sigma)}))
+        assert (found.component, found.kind) == (component, "noise")
+        assert found.onset_s == pytest.approx(ONSET, abs=2.0)
+        assert found.size == pytest.approx(sigma, rel=0.4)
+
+
+def test_magnetometer_that_repeats_its_reading_is_named_by_another_that_does_not():
+    log = fly(magnetometers=2)
+    still = np.zeros_like(log.magnetometers[""].time)
+    hover = {
+        name: Signal(each.time, to_body(at(still)[3], np.tile(FIELD, (len(still), 1))) + 2.0 * noise)
+        for (name, each), noise in zip(
+            log.magnetometers.items(),
+            np.random.default_rng(3).standard_normal((2, len(still), 3)),
+            strict=True,
+        )
+    }
+    time = log.attitude.time if log.attitude is not None else still
+    sway = np.stack([0.01 * np.sin(time), np.zeros_like(time), np.zeros_like(time)], axis=-1)
+    upright = Signal(time, quaternion_from_euler(sway))
+    log = dataclasses.replace(log, magnetometers=hover, attitude=upright)
+    found = [
+        each for each in inspect(changed(log, magnetometers=frozen)).verdict.findings if each.kind == "stuck"
+    ]
+    assert {each.component for each in found} == {"magnetometer"}
+
+
 def test_magnetometers_that_turn_with_the_attitude_and_not_with_the_gyro_are_right():
     log = fly()
     q = log.attitude.value.copy()

@@ -34,23 +34,28 @@ def fly(
     seconds: float = 25.0,
     stop: float = np.inf,
     back: float = np.inf,
+    deaf: bool = False,
     seed: int = 3,
 ) -> FlightLog:
     """A quadrotor in gusts that its own first gyro steers; from `ONSET` on the faults act.
 
     ``lost`` is a rotor and the share of its thrust; ``gyro`` and ``force`` are offsets of the IMUs ``wrong``.
-    At ``stop`` the rotors are switched off, at ``back`` the lost one gives its thrust again.
+    At ``stop`` the rotors are switched off, at ``back`` the lost one gives its thrust again. ``deaf``: all
+    gyros are stuck about x, before noise is logged, and the estimate finds back slowly by other sensors.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, DT)
     q = estimate = np.array([0.0, 0.0, 0.0, 1.0])
     rate = velocity = np.zeros(3)
-    thrust, gust = np.full(4, HOVER), np.zeros(3)
+    thrust, gust, held = np.full(4, HOVER), np.zeros(3), 0.0
     rates, forces, commands, attitudes, velocities = (np.zeros((len(time), k)) for k in (3, 3, 4, 4, 3))
     for row, now in enumerate(time):
         late = float(now >= ONSET)
         wanted = 0.15 * np.array([np.sin(0.9 * now), np.cos(0.7 * now), 0.0])
         believed = rate + (late * gyro if gyro is not None and 0 in wrong else 0.0)
+        held = held if late else float(rate[0])
+        if deaf:
+            believed[0] = held
         tilt = 2.0 * estimate[:3] * np.sign(estimate[3])
         asked = -30.0 * (tilt - wanted) - 10.0 * believed
         command = np.clip(HOVER + MIX @ asked, 0.0, 1.0)
@@ -61,10 +66,11 @@ def fly(
             given[lost[0]] *= 1.0 - lost[1] * late * float(now < back)
         gust += DT * (-gust / 0.5 + 2.0 * rng.standard_normal(3) / np.sqrt(DT))
         rate = rate + DT * (given @ GAINS + gust)
-        q, estimate = turn(q, rate * DT), turn(estimate, believed * DT)
+        back_to = (q - estimate)[:3] if deaf else 0.0
+        q, estimate = turn(q, rate * DT), turn(estimate, (believed + back_to) * DT)
         lift = np.array([0.0, 0.0, given.sum() / (4 * HOVER) * 9.80665])
         velocity = velocity + DT * (to_earth(q, lift) - GRAVITY)
-        rates[row], forces[row], commands[row] = rate, lift, command
+        rates[row], forces[row], commands[row] = believed if deaf else rate, lift, command
         attitudes[row], velocities[row] = estimate, velocity
 
     def thinned(values: np.ndarray, period: float, noise: float = 0.0) -> Signal:
@@ -127,6 +133,28 @@ def test_loss_of_a_rotor_that_ends_is_not_taken_for_one_of_the_rotor_that_faces_
     first = judge(fly(lost=(rotor, 0.5), back=ONSET + 6.0, seconds=ONSET + 30.0)).findings[0]
     assert (first.component, first.element) == ("rotor", str(rotor + 1))
     assert (first.onset_s, first.end_s) == pytest.approx((ONSET, ONSET + 6.0), abs=0.3)
+
+
+def test_gyro_that_turns_noisy_is_named_at_25_hz_and_one_that_turns_fast_is_not():
+    log, late = healthy(), np.arange(0.0, 25.0, 0.04)[:, None] >= ONSET
+    sensor, axis = log.gyros[""], np.array([1.0, 0.0, 0.0])
+    noise = 0.1 * np.random.default_rng(1).standard_normal((len(sensor), 1))
+    swing = 2.0 * np.sin(6.0 * sensor.time)[:, None]
+
+    def both(more: np.ndarray) -> FlightLog:
+        gyros = {name: Signal(each.time, each.value + late * more * axis) for name, each in log.gyros.items()}
+        return dataclasses.replace(log, gyros=gyros)
+
+    first = judge(both(noise)).findings[0]
+    assert (first.component, first.element, first.kind) == ("gyro", "x", "noise")
+    assert (first.onset_s, first.size) == (pytest.approx(ONSET, abs=0.5), pytest.approx(0.1, rel=0.2))
+    assert all(each.kind != "noise" for each in judge(both(swing)).findings)
+
+
+def test_gyros_that_are_stuck_behind_noise_are_named_as_the_rotors_turn_the_vehicle():
+    first = judge(fly(deaf=True, seconds=ONSET + 5.0)).findings[0]
+    assert (first.component, first.element, first.kind) == ("gyro", "x", "stuck")
+    assert first.onset_s == pytest.approx(ONSET, abs=0.2)
 
 
 def test_wrong_gyro_of_two_is_named_though_the_controller_follows_it():

@@ -26,9 +26,10 @@ FOLLOWS = {
     "rotor": ("rotor", "gyro", "accelerometer", "attitude", *NAVIGATION),
     "gyro": ("rotor", "gyro", "accelerometer", "attitude", *NAVIGATION),
     "accelerometer": ("accelerometer", "attitude", "magnetometer", "gps"),
-    "attitude": ("attitude", "magnetometer"),
+    "attitude": ("attitude", "magnetometer", "gps"),
     "magnetometer": ("magnetometer", "attitude", "gps"),
     "barometer": ("barometer",),
+    "vibration": ("gyro", "accelerometer"),
     "gps": ("gps", "gyro", "accelerometer", "attitude", "barometer"),
 }
 LATER = {"gyro": 0.5 * SLACK, "accelerometer": 0.5 * SLACK, "attitude": SLACK}  # s
@@ -138,6 +139,7 @@ def _repeats(finding: Finding, known: Finding) -> bool:
         return False
     if known.kind in ("stuck", "saturation", "absent", "noise") and finding.kind in (
         "offset",
+        "drift",
         "noise",
         "unknown",
         "absent",

@@ -25,6 +25,7 @@ from quadftc_replay.inspection.found import Curve, Found, confidence, curve_arou
 from quadftc_replay.inspection.gyro import BODY_AXES, component_name
 from quadftc_replay.inspection.jumps import JUMP, find_jumps
 from quadftc_replay.inspection.path import attitude_at
+from quadftc_replay.inspection.readings import noise_findings
 from quadftc_replay.inspection.steps import Step
 from quadftc_replay.inspection.verdict import show
 from quadftc_replay.inspection.whitening import Floats, scale
@@ -33,6 +34,7 @@ COMPONENT = "magnetometer"
 FEWEST = 40  # samples
 SMALLEST = 0.3  # 1; of the field: what ArduPilot and PX4 let pass, 3 sigma of 50 mG, over 500 mG of the earth
 TURNED = 0.1  # rad; 6 deg of heading, which compasses reach without a fault
+QUIET = 0.005  # 1; of the field: what every sensor may have as noise, 2.5 mG (HMC5883L: 2 mG)
 STRONG = 0.6  # 1; of the field: what currents may add before ArduPilot's compassmot calls it bad
 SAME = 0.5  # 1; by which jumps differ that have one cause
 AROUND = 3.0  # s
@@ -132,6 +134,8 @@ def _findings(
 ) -> Iterator[Found]:
     """Name what is wrong with one magnetometer."""
     field, unit = fields[name], flight.log.field_unit
+    component = component_name(COMPONENT, name)
+    yield from noise_findings(flight, component, field.rest, BODY_AXES, unit, QUIET * field.size, alone=False)
     for step in jumps[name]:
         sharing = [other for other in jumps if other != name and any(_alike(step, s) for s in jumps[other])]
         is_common = len(sharing) == len(fields) - 1
@@ -140,17 +144,19 @@ def _findings(
         if is_common and sharing and name != next(iter(fields)):
             continue  # told of the first
         said = [f"it jumps by {show(step.size, unit)} against the field that the attitude expects"]
-        if is_common and sharing:
-            said.append("all magnetometers do: the field around the vehicle is another one")
+        may_be_attitude = is_common and bool(sharing)
+        if may_be_attitude:
+            said.append("all magnetometers do: the field around the vehicle is another one, or the attitude")
         elif len(fields) > 1:
             said.append("another magnetometer on the same vehicle does not")
         finding = make_finding(
-            *(component_name(COMPONENT, name), BODY_AXES[step.axis], "offset", step.onset),
+            *(component, BODY_AXES[step.axis], "offset", step.onset),
             end_s=step.end,
             size=step.size,
             sigma=step.sigma,
             unit=unit,
-            probability=confidence(step.score, 1.0),
+            probability=confidence(step.score, 1.0) * (0.6 if may_be_attitude else 1.0),
+            ambiguous_with=("attitude",) if may_be_attitude else (),
             evidence=tuple(said),
         )
         yield Found(finding, _curve(field, name, unit, step.onset, step.end))
@@ -163,7 +169,7 @@ def _findings(
             f" to a field of {show(field.size, unit)}",
         )
         finding = make_finding(
-            *(component_name(COMPONENT, name), BODY_AXES[strongest], "interference", start),
+            *(component, BODY_AXES[strongest], "interference", start),
             size=added,
             sigma=sigma,
             unit=unit,

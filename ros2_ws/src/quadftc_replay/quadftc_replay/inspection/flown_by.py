@@ -2,7 +2,7 @@
 
 Both are in one computer and follow one clock. A position that parts from the estimate was changed on the way
 to the controller. ArduPilot logs the acceleration that follows from the lean, in earth axes: where it is
-turned about the vertical, the heading was changed so.
+turned about the vertical, the heading was changed so. Later ones filter it, and lag behind a fast turn.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from quadftc_model.rotations import to_earth
+from quadftc_model.rotations import euler_from_quaternion, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.path import attitude_at
@@ -76,7 +76,7 @@ def _headings(flight: Flight) -> Iterator[Found]:
     lean = STANDARD_GRAVITY * up[:, :2] / np.maximum(up[:, 2:], UPRIGHT)
     size = np.linalg.norm(lean, axis=1)
     known = (size > LEAN) & (np.abs(np.linalg.norm(seen, axis=1) - size) < SAME * size)
-    known &= flight.in_flight(time)
+    known &= flight.in_flight(time) & (_turns(log.attitude, time) < TURNED)
     if known.sum() < FEWEST:
         return
     cross = lean[:, 0] * seen[:, 1] - lean[:, 1] * seen[:, 0]  # of a turn that is counterclockwise
@@ -96,6 +96,12 @@ def _headings(flight: Flight) -> Iterator[Found]:
             ("heading of the controller less that of the estimator", {"angle": angle}),
         )
         return
+
+
+def _turns(attitude: Signal, time: Floats) -> Floats:
+    """By how much the heading has changed within `LASTS` (n,) [rad]."""
+    late, early = (euler_from_quaternion(attitude_at(attitude, each))[:, 2] for each in (time, time - LASTS))
+    return np.abs(np.angle(np.exp(1j * (late - early))))
 
 
 def _lasting(time: Floats, mask: np.ndarray) -> list[slice]:

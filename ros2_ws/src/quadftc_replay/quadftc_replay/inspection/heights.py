@@ -22,6 +22,7 @@ from quadftc_replay.inspection.found import Found, confidence, curve_around, mak
 from quadftc_replay.inspection.gyro import component_name
 from quadftc_replay.inspection.jumps import DRIFT, FEWEST, JUMP, find_jumps
 from quadftc_replay.inspection.path import DELAYS, attitude_at
+from quadftc_replay.inspection.readings import noise_findings
 from quadftc_replay.inspection.steps import Step
 from quadftc_replay.inspection.verdict import show
 from quadftc_replay.inspection.whitening import Floats, Mask
@@ -35,9 +36,11 @@ TOWARDS: Mapping[int, tuple[str, str, str]] = {
     0: ("y", "east", "west"),
     2: ("z", "up", "down"),
 }
+_ELEMENTS = tuple(TOWARDS[axis][0] for axis in range(3))
 GATE = 5.0  # standard deviations that the estimators of ArduPilot and PX4 let pass
 CLAIMED = 0.5  # m; a receiver's least standard deviation (ArduPilot EK3_POSNE_M_NSE, PX4 EKF2_GPS_P_NOISE)
 SPEED = 0.3  # m/s; the same of its velocity (ArduPilot EK3_VELNE_M_NSE, PX4 EKF2_GPS_V_NOISE)
+ROUGH = 0.3  # m; the noise of a barometer that is none (ArduPilot EK3_ALT_M_NSE: 2 m)
 GROUND_EFFECT = 4.0  # m; that the wash of the rotors near the ground adds (PX4 EKF2_GND_EFF_DZ)
 PAUSE = 1.0  # s; of a velocity, over which its integral is not known
 SAME = 0.5  # 1; by which jumps differ that have one cause
@@ -48,6 +51,7 @@ def receiver_findings(flight: Flight) -> tuple[list[Found], bool]:
     """Name receivers whose position jumps or drifts; and whether any was judged."""
     found, residuals = list[Found](), _receivers(flight)
     for name, residual in residuals.items():
+        found += _noise(flight, component_name(RECEIVER, name), residual, _ELEMENTS, CLAIMED)
         for kind, steps in zip(KINDS, _receiver_jumps(flight, name, residual), strict=True):
             for step in steps:
                 element, way = _way(step.axis, step.size)
@@ -90,13 +94,13 @@ def barometer_findings(flight: Flight) -> tuple[list[Found], bool]:
     up = Signal(velocity.time, velocity.value[:, 2:])
     speed: Floats = np.linalg.norm(np.nan_to_num(velocity.value), axis=1)
     residuals = {name: _less_integral(each, up) for name, each in log.barometers.items() if len(each) > 1}
-    jumps: dict[str, tuple[list[Step], list[Step]]] = {}
+    found, jumps = list[Found](), dict[str, tuple[list[Step], list[Step]]]()
     for name, residual in residuals.items():
         # wind of the vehicle's own speed adds up to its dynamic pressure
         dynamic: Floats = np.interp(residual.time, velocity.time, speed) ** 2 / (2.0 * STANDARD_GRAVITY)
         jumps[name] = find_jumps(residual, _watched(flight, residual), GROUND_EFFECT + dynamic)
+        found += _noise(flight, component_name(BAROMETER, name), residual, ("",), ROUGH)
     receivers = [_receiver_jumps(flight, name, each) for name, each in _receivers(flight).items()]
-    found = list[Found]()
     for which, kind in enumerate(KINDS):
         velocities = [step for each in receivers for step in each[which] if step.axis == 2]
         told: list[Step] = []
@@ -110,6 +114,15 @@ def barometer_findings(flight: Flight) -> tuple[list[Found], bool]:
                 said += "".join(f"; {component_name(BAROMETER, each)} does the same" for each in others)
                 found.append(_found(component_name(BAROMETER, name), "", kind, step, said, residual))
     return found, bool(residuals)
+
+
+def _noise(
+    flight: Flight, component: str, residual: Signal, names: tuple[str, ...], least: float
+) -> Iterator[Found]:
+    """Say when what is left of a sensor gets noisy."""
+    known = np.isfinite(residual.value).all(axis=1)
+    whole = Signal(residual.time[known], residual.value[known])
+    return noise_findings(flight, component, whole, names, "m", least, alone=False)
 
 
 def _receivers(flight: Flight) -> dict[str, Signal]:

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.inspection.accelerometer import LIMITS as FORCE_LIMITS
 from quadftc_replay.inspection.accelerometer import accelerometer_findings
 from quadftc_replay.inspection.agreement import Agreement, compare
 from quadftc_replay.inspection.attitude import attitude_findings, disagreements
 from quadftc_replay.inspection.battery import battery_findings, cannot_judge_battery
 from quadftc_replay.inspection.causes import first_cause
+from quadftc_replay.inspection.deaf import deaf_findings
 from quadftc_replay.inspection.ending import ending_of
 from quadftc_replay.inspection.flight import Flight, prepare
 from quadftc_replay.inspection.flown_by import flown_findings
@@ -31,7 +31,7 @@ from quadftc_replay.inspection.witnesses import is_tilt, pair_findings, path_fin
 from quadftc_replay.inspection.wording import make_verdict
 
 Progress = Callable[[float], None]
-SENSORS = {"gyro": ("rad/s", RATE_LIMITS.floor), "accelerometer": ("m/s^2", FORCE_LIMITS.floor)}
+SENSORS = {"gyro": ("rad/s", RATE_LIMITS.floor), "accelerometer": ("m/s^2", 0.05)}  # noise that any has
 FEWEST = 200  # samples of a sensor
 PATH_SEES = 1.5  # s; by which the path, over a window, may date what a pair shows too early
 QUATERNION = ("",)  # the elements of an attitude are judged together
@@ -77,6 +77,8 @@ def inspect(
     judgement.found += found
     judgement.judged += judged
     rotors = _rotors(flight, baseline, judgement)
+    if not rotors.found:  # a vehicle that tumbles answers nothing
+        judgement.found += deaf_findings(flight)
     progress(0.8)
     if (reason := cannot_judge_battery(flight)) is None:
         judgement.judged.append("battery")

@@ -1,24 +1,25 @@
 """Magnetometers, barometers and satellite receivers: those that stop or repeat, and those that jump.
 
 A reading that is repeated is a fault where the sensor otherwise never does so. A magnetometer has to have
-been turned meanwhile, as the field of a vehicle that keeps its attitude hardly moves.
+been turned meanwhile, as the field of a vehicle that keeps its attitude hardly moves, or another one changes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.compass import Field, compass_findings, fields_of
-from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.flight import Flight, Interval
 from quadftc_replay.inspection.found import Found, curve_around, make_finding
 from quadftc_replay.inspection.gyro import BODY_AXES, component_name
 from quadftc_replay.inspection.heights import barometer_findings, receiver_findings, velocity_findings
 from quadftc_replay.inspection.readings import absent_findings, stuck_intervals
 
+CHANGES = 30  # of another magnetometer, of which this one shows none: by chance once in 2^30
 AROUND = 3.0  # s
 
 
@@ -37,7 +38,8 @@ def navigation_findings(
         for name, sensor in each.items():
             component = component_name(kind, name)
             found += absent_findings(flight, component, sensor, other)
-            found += _stuck(flight, component, sensor, fields.get(name) if kind == "magnetometer" else None)
+            others = [one for other, one in each.items() if other != name]
+            found += _stuck(flight, component, sensor, fields.get(name), others)
     found += compass_findings(flight, agreement, fields)
     judged = ["magnetometer"] if fields else []
     for kind, (jumps, is_judged) in (
@@ -50,20 +52,28 @@ def navigation_findings(
     return found, judged
 
 
-def _stuck(flight: Flight, component: str, sensor: Signal, field: Field | None) -> Iterator[Found]:
-    """Say when a sensor repeats all of its reading at once."""
+def _stuck(
+    flight: Flight, component: str, sensor: Signal, field: Field | None, others: Sequence[Signal]
+) -> Iterator[Found]:
+    """Say when a sensor repeats all of its reading at once; ``others`` are of its kind."""
     _, alike = np.unique(sensor.value, axis=0, return_inverse=True)
     is_compass = component.startswith("magnetometer")
     stretches = [
         each
         for each in stuck_intervals(flight, sensor.time, alike.ravel().astype(float))
-        if each.start > sensor.time[0] and (not is_compass or (field is not None and field.turns(each)))
+        if each.start > sensor.time[0]
+        and (
+            not is_compass
+            or (field is not None and field.turns(each))
+            or any(_changes(other, each) > CHANGES for other in others)
+        )
     ]
     if not stretches:
         return
     first, last = stretches[0], stretches[-1]
     seconds = sum(each.end - each.start for each in stretches)
-    why = "while the vehicle turns in the field of the earth" if is_compass else "as it does not otherwise"
+    turns = "while the vehicle turns in the field of the earth, or another changes"
+    why = turns if is_compass else "as it does not otherwise"
     said = f"it repeats its reading for {seconds:.3g} s, {why}"
     for column, element in enumerate(BODY_AXES if is_compass else ("",)):
         finding = make_finding(
@@ -74,3 +84,9 @@ def _stuck(flight: Flight, component: str, sensor: Signal, field: Field | None) 
         span = (first.start - AROUND, last.end + AROUND)
         lines = {"reading": sensor.value[:, column]}
         yield Found(finding, curve_around(f"{component} {element}", "", sensor.time, lines, span))
+
+
+def _changes(sensor: Signal, stretch: Interval) -> int:
+    """How often a sensor changes its reading in a stretch of time."""
+    rows = slice(*np.searchsorted(sensor.time, stretch))
+    return int(np.any(np.diff(sensor.value[rows], axis=0) != 0.0, axis=1).sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,11 @@ SAME = 1e-6  # 1; by which readings at a limit differ: a quiet sensor at rest is
 LEVELS = 100  # different readings that a sensor has below a limit
 ABSENT = 0.2  # s
 OTHERS_GO_ON = 0.6  # 1; share of the samples that the other sensors have meanwhile
-SLOWEST = 50.0  # Hz; between slower samples motion looks like noise
+FEWEST = 100  # samples in flight
+SLOWEST = 50.0  # Hz; between slower samples motion looks like noise, unless it is white
+WHITE = 0.63  # 1; what third differences show, by first ones, of a motion at a quarter of the rate
 WINDOW = 0.25  # s; of the noise
+SAMPLES = 8  # of it, at least
 CALM = 0.3  # 1; quantile of the noise in flight that is the usual one
 NOISY = 6.0  # times the usual noise
 NOISE_LASTS = 0.5  # s
@@ -164,30 +168,42 @@ def absent_findings(
 
 
 def noise_findings(
-    flight: Flight, component: str, sensor: Signal, names: tuple[str, ...], unit: str, least: float
+    flight: Flight,
+    component: str,
+    sensor: Signal,
+    names: tuple[str, ...],
+    unit: str,
+    least: float,
+    alone: bool = True,
 ) -> Iterator[Found]:
-    """Say when one axis gets noisy and the others do not; ``least`` is what every such sensor may have."""
-    if len(sensor) < 500 or sensor.rate < SLOWEST:
-        return
+    """Say when an axis gets noisy.
+
+    ``least`` is what every such sensor may have. ``alone``: motion is still in the signal, so that the other
+    axes have to stay calm. Below `SLOWEST` the noise has to be white, as no motion is.
+    """
     level, lasts = (NOISY, NOISE_LASTS) if flight.phases_known else (HANDLED * NOISY, HANDLED * NOISE_LASTS)
-    noise = moving_noise(sensor)
     flying = flight.in_flight(sensor.time) & ~flight.near_impact(sensor.time)
-    if flying.sum() < 200:
+    if flying.sum() < FEWEST:
         return
+    noise = moving_noise(sensor)
+    white = (
+        WHITE * moving_noise(sensor, 1) < noise if sensor.rate < SLOWEST else np.ones_like(noise, np.bool_)
+    )
     floor = np.maximum(np.quantile(noise[flying], CALM if flight.phases_known else 0.5, axis=0), least)
     ratio = noise / floor
     for axis, name in enumerate(names):
-        others = np.delete(ratio, axis, axis=1).max(axis=1)
-        loud = flying & (ratio[:, axis] > level) & (ratio[:, axis] > OTHERS * others)
-        runs = [run for run in runs_of(loud) if sensor.time[run.stop - 1] - sensor.time[run.start] > lasts]
+        loud = flying & white[:, axis] & (ratio[:, axis] > level)
+        if alone:
+            loud &= ratio[:, axis] > OTHERS * np.delete(ratio, axis, axis=1).max(axis=1)
+        shortest = max(lasts, SAMPLES / sensor.rate)
+        runs = [run for run in runs_of(loud) if sensor.time[run.stop - 1] - sensor.time[run.start] > shortest]
         if not runs:
             continue
         start, end = float(sensor.time[runs[0].start]), float(sensor.time[runs[-1].stop - 1])
         # the window is centred: it sees a begin half a window early, where the level is crossed late
         size = float(np.median(noise[runs[0], axis]))
-        usual = float(floor[axis])
-        factor = size / usual
-        said = f"noise of {show(size, unit)}, {factor:.0f} times the usual, while the other axes stay calm"
+        factor = size / float(floor[axis])
+        said = f"noise of {show(size, unit)}, {factor:.0f} times the usual"
         finding = make_finding(
             *(component, name, "noise", start),
             end_s=None if end > sensor.time[flying][-1] - WINDOW else end,
@@ -195,7 +211,7 @@ def noise_findings(
             sigma=None,
             unit=unit,
             probability=confidence(factor, NOISY),
-            evidence=(said,),
+            evidence=(said + ", while the other axes stay calm" if alone else said,),
         )
         span = (start - AROUND, end + AROUND)
         curve = curve_around(
@@ -204,12 +220,12 @@ def noise_findings(
         yield Found(finding, curve)
 
 
-def moving_noise(sensor: Signal) -> Floats:
-    """Standard deviation of what is fast in a signal, over `WINDOW` (n, k): by its third differences."""
+def moving_noise(sensor: Signal, order: int = 3) -> Floats:
+    """Standard deviation of what is fast in a signal, over `WINDOW` (n, k): by differences of an order."""
     values = np.nan_to_num(sensor.value)
     fast = np.zeros_like(values)
-    fast[3:] = np.abs(np.diff(values, 3, axis=0)) / np.sqrt(20.0)
-    length = max(8, round(WINDOW * sensor.rate))
+    fast[order:] = np.abs(np.diff(values, order, axis=0)) / np.sqrt(comb(2 * order, order))
+    length = max(SAMPLES, round(WINDOW * sensor.rate))
     # the median over the window is not moved by single spikes
     stride = max(1, length // 8)
     rows = np.arange(0, len(values), stride)

@@ -191,7 +191,7 @@ def _share_that_shows(torque: Torque) -> float:
     period = float(np.median(np.diff(part.time)))
     before, count = (max(FEWEST, round(each / period)) for each in (BEFORE, WINDOWS[-1]))
     k = np.arange(FEWEST, len(rest) - FEWEST + 1)
-    sigma = np.hypot(FLOOR, _scatter(_steps(rest, k, before, count)))
+    sigma = np.hypot(FLOOR, scatter(steps(rest, k, before, count)))
     effect = np.median(part.commands, axis=0) * np.linalg.norm(part.layout, axis=0)
     return float(np.max(LEVEL * sigma / np.maximum(effect, 1e-9)))
 
@@ -227,9 +227,9 @@ def _shares(
     """Compare the steps at rows ``k``, over ``count`` samples less ``before``, with those of each rotor."""
     others_only = covariance.copy()
     others_only[:, SIGNED, :] = others_only[:, :, SIGNED] = 0.0
-    step = _steps(rest, k, before, count)
-    unsure = _steps(part.columns.reshape(len(rest), 6), k, before, count).reshape(len(k), 2, 3)
-    variance = np.einsum("nak,akl,nal->na", unsure, others_only, unsure) + _scatter(step) ** 2 + FLOOR**2
+    step = steps(rest, k, before, count)
+    unsure = steps(part.columns.reshape(len(rest), 6), k, before, count).reshape(len(k), 2, 3)
+    variance = np.einsum("nak,akl,nal->na", unsure, others_only, unsure) + scatter(step) ** 2 + FLOOR**2
     least = _least_favourable(step, unsure, factors, covariance)
     effect = _after(part.commands, k, count)[:, :, None] * part.layout.T  # (m, rotors, 2)
     power = np.sum(effect**2 / variance[:, None], axis=2) + 1e-12
@@ -312,14 +312,14 @@ def _after(values: Floats, k: NDArray[np.int_], count: int) -> Floats:
     return (total[last] - total[k]) / (last - k)[:, None]
 
 
-def _steps(values: Floats, k: NDArray[np.int_], before: int, count: int) -> Floats:
+def steps(values: Floats, k: NDArray[np.int_], before: int, count: int) -> Floats:
     """Means after each moment less those before it (m, ...)."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     first = np.maximum(k - before, 0)
     return _after(values, k, count) - (total[k] - total[first]) / (k - first)[:, None]
 
 
-def _scatter(step: Floats) -> float:
+def scatter(step: Floats) -> float:
     """Standard deviation of the steps of a flight (m, 2), by its calmer part."""
     return TO_SIGMA * float(np.quantile(np.linalg.norm(step, axis=1), CALM))
 

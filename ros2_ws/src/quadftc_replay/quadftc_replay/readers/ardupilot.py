@@ -8,7 +8,7 @@
 | barometers | ``BARO``, ``BAR2``, ``BAR3``: ``Alt`` [m] |
 | attitude | ``ATT`` or ``ANG``, whichever has more samples: ``Roll``, ``Pitch``, ``Yaw`` [deg] |
 | body rate | ``RATE``: ``R``, ``P``, ``Y`` [deg/s], without a gyro |
-| position, velocity | ``XKF1``, ``NKF1`` or ``EKF1``: ``PN`` ... [m], ``VN`` ... [m/s] of the first core |
+| position, velocity | ``XKF1``, ``NKF1`` or ``EKF1``: ``PN`` ... [m], ``VN`` ... [m/s] of the primary core |
 | satellites | ``GPS``, ``GPS2``: ``Lat``, ``Lng`` [deg], ``Alt`` [m], ``Spd``, ``VZ`` [m/s], ``GCrs`` [deg] |
 | their status | ``GPS``: ``Status``, ``NSats``; ``GPA``, ``GPA2``: ``HAcc`` [m] |
 | rotor speeds | ``ESC``: ``RPM`` of each instance |
@@ -179,7 +179,7 @@ def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
         angles = np.stack([roll, -pitch, math.pi / 2 - yaw], axis=-1)
         signals.add("attitude", stamps_of(table), quaternion_from_euler(angles), "attitude")
     for name in ESTIMATES:
-        if table := first_of(messages.get(name), "PN", "PE", "PD", "VN", "VE", "VD"):
+        if table := _of_primary(messages, name, "PN", "PE", "PD", "VN", "VE", "VD"):
             for field, letter in (("position", "P"), ("velocity", "V")):
                 value = columns(table, [f"{letter}{axis}" for axis in "NED"])
                 signals.add(field, stamps_of(table), enu_from_ned(value), name)
@@ -200,6 +200,26 @@ def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
             signals.add("clips", stamps_of(table), table["Clip"], "VIBE")
     _add_flown(signals, messages)
     _watch(signals, messages)
+
+
+def _of_primary(messages: Mapping[str, Table], name: str, *fields: str) -> Table | None:
+    """Return what an estimator's message says of the core that the autopilot flies by at each time."""
+    cores = instances_of(messages.get(name), *fields)
+    switch = next(filter(None, (first_of(messages.get(each), "PI") for each in ("XKF4", "NKF4"))), None)
+    if switch is None or len(cores) < 2:
+        return cores[min(cores)] if cores else None
+    stamp_ns, primary = stamps_of(switch), switch["PI"]
+    parts = [
+        {
+            field: values[
+                primary[np.maximum(np.searchsorted(stamp_ns, stamps_of(table), "right") - 1, 0)] == core
+            ]
+            for field, values in table.items()
+        }
+        for core, table in cores.items()
+    ]
+    order = np.argsort(np.concatenate([each["TimeUS"] for each in parts]), kind="stable")
+    return {field: np.concatenate([each[field] for each in parts])[order] for field in parts[0]}
 
 
 def _watch(signals: Signals, messages: Mapping[str, Table]) -> None:
