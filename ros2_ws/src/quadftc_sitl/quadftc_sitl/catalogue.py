@@ -1,11 +1,10 @@
-"""Many flights of a firmware side by side, each in a process and folder of its own, and one table of them."""
+"""Many flights of a firmware side by side, each in a process and folder of its own."""
 
 from __future__ import annotations
 
 import json
 import shutil
-import statistics
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -14,12 +13,11 @@ from typing import Any, NamedTuple
 import yaml
 
 from quadftc_flight.run_files import RunError
-from quadftc_sitl.firmware import SitlError, die_with_parent
+from quadftc_sitl.firmware import SitlError, die_with_parent, parameter_file
 from quadftc_sitl.plan import SitlPlan, plan_of_text
 from quadftc_sitl.sitl_flight import SUMMARY, fly_sitl
 
 JOB = "job.yaml"  # what a folder was flown with
-COLUMNS = ("fault", "flights", "autopilot", "observer", "diagnose", "survived")
 
 
 class Job(NamedTuple):
@@ -110,34 +108,23 @@ def clear(folder: Path) -> None:
     shutil.rmtree(folder)
 
 
-def table_rows(summaries: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
-    """Return a row of `COLUMNS` for each fault of a catalogue: flights are named after it, and their seed."""
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for each in summaries:
-        if "error" not in each:
-            groups.setdefault(each["name"].rpartition("-")[0] or each["name"], []).append(each)
-    for name, flights in groups.items():
-        survived = sum(flight["survived"] for flight in flights)
-        cells = [_share(flights, source) for source in ("autopilot", "observer", "diagnose")]
-        yield name, str(len(flights)), *cells, f"{survived} of {len(flights)}"
+def write_lost(jobs: Sequence[Job], summaries: Sequence[Mapping[str, Any]], out: Path) -> list[Path]:
+    """Write the scenario of each lost flight, with the parameters that files gave, to be flown again.
 
-
-def _share(flights: Sequence[Mapping[str, Any]], source: str) -> str:
-    """Say in how many flights a source told of the fault, and when; of healthy ones, in how many of any."""
-    word = "noticed" if source == "autopilot" else "named"
-    faults = [fault[source] for flight in flights for fault in flight["faults"]]
-    if not faults:
-        false = sum(flight["metrics"][f"{source}_false"] > 0 for flight in flights)
-        return f"{false} false"
-    told = [each for each in faults if each[word]]
-    if all(each[word] is None for each in faults):
-        return "-"
-    delays = [each["delay_s"] for each in told]
-    after = f", {statistics.median(delays):.2g} s" if delays else ""
-    return f"{len(told)} of {len(faults)}{after}"
-
-
-def markdown(summaries: Sequence[Mapping[str, Any]]) -> str:
-    """Write the table of a catalogue for a document."""
-    rows = [COLUMNS, ("---",) * len(COLUMNS), *table_rows(summaries)]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    They are in the folder ``lost``; the first line of a scenario is the command.
+    """
+    written: list[Path] = []
+    for job, summary in zip(jobs, summaries, strict=True):
+        if summary.get("survived", True):
+            continue
+        folder = out / "lost"
+        folder.mkdir(exist_ok=True)
+        file = folder / f"{job.name}.yaml"
+        options = f"--autopilot ardupilot --binary {job.binary} --scheme {job.scheme}"
+        if job.parameters:
+            given = file.with_suffix(".parm")
+            given.write_text(parameter_file(job.parameters), encoding="ascii")
+            options += f" --parameters {given.name}"
+        file.write_text(f"# quadftc sitl {file.name} {options}\n{job.text}", encoding="utf-8")
+        written.append(file)
+    return written

@@ -14,7 +14,7 @@ The key is optional; any scenario of free flight can be flown without it:
         - {metric: survived, above: 0.5}
       catalogue:                # flights of `quadftc sitl --catalogue`, each with its faults
         - {name: gyro_x_step, faults: [{kind: bias, channel: gyro, axes: x, value: 0.3, start: 10 s}]}
-        - {name: gps_step, own: [{set: {SIM_GPS1_GLTCH_X: 0.0005}, start: 10 s}]}
+        - {name: gps_step, own: [{set: {SIM_GPS1_GLTCH_X: {uniform: [0, 0.0005]}}, start: 10 s}], flights: 20}
 
 Times are those of the scenario: 0 is when the vehicle has climbed to where its trajectories begin.
 """
@@ -24,16 +24,19 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import pydantic
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from quadftc_flight.scenario import Check, Document, Problem, Scenario, Scheme, build_scenario, problems_of
 from quadftc_flight.scenario.document import ScenarioError, parse_document
 from quadftc_model.units import quantity
+from quadftc_sitl.drawing import draw
 
 KEY = "autopilot"
 LOOP_RATE = "SCHED_LOOP_RATE"  # ArduCopter's own loop [Hz], and its default
@@ -112,11 +115,15 @@ class Guard(_Shape):
 
 
 class Entry(_Shape):
-    """A flight of a catalogue: the scenario with other faults; ours, the autopilot's own, or both."""
+    """Flights of a catalogue: the scenario with other faults; ours, the autopilot's own, or both.
+
+    Any value of a fault may be a distribution, as in a campaign: each flight draws its own.
+    """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
     faults: list[dict[str, Any]] = []  # as under `faults` of a scenario
-    own: tuple[OwnFault, ...] = ()
+    own: list[dict[str, Any]] = []  # as `OwnFault`
+    flights: int = Field(default=1, ge=1, le=100_000)
 
 
 class Section(_Shape):
@@ -135,10 +142,14 @@ class Section(_Shape):
 class SitlPlan:
     """One flight of an autopilot."""
 
-    name: str
     scenario: Scenario
     scheme: Scheme  # whose observer runs beside it
     section: Section
+
+    @property
+    def name(self) -> str:
+        """Name of the flight: that of the scenario."""
+        return self.scenario.name
 
     @property
     def raw(self) -> dict[str, Any]:
@@ -152,7 +163,7 @@ class SitlPlan:
         return max(self.scenario.rate, GYRO_RATE * self.section.parameters.get(LOOP_RATE, USUAL_LOOP_RATE))
 
 
-def plan_of(document: Document, scheme: str = "", name: str = "") -> SitlPlan:
+def plan_of(document: Document, scheme: str = "") -> SitlPlan:
     """Build what is to be flown of a scenario file; a ScenarioError has one line for each problem."""
     plain = {key: value for key, value in document.data.items() if key != KEY}
     plain.setdefault("schemes", {"beside": USUAL_SCHEME})
@@ -161,32 +172,38 @@ def plan_of(document: Document, scheme: str = "", name: str = "") -> SitlPlan:
         wanted = "an autopilot flies free: expected 'plant: {kind: free_flight}'"
         raise document.error([Problem(("plant",), wanted)])
     section = _section_of(document)
-    return SitlPlan(
-        name=name or scenario.name, scenario=scenario, scheme=scenario.scheme(scheme or None), section=section
-    )
+    return SitlPlan(scenario=scenario, scheme=scenario.scheme(scheme or None), section=section)
 
 
 def plan_of_text(text: str, scheme: str, name: str) -> SitlPlan:
     """Build what is to be flown of the text of a scenario."""
-    return plan_of(parse_document(text, f"{name}.yaml"), scheme, name)
+    return plan_of(parse_document(text, f"{name}.yaml"), scheme)
 
 
-def plans_of_catalogue(document: Document, scheme: str, seeds: Sequence[int]) -> list[SitlPlan]:
-    """Build the flights of the catalogue of a scenario, each with some seeds."""
+def plans_of_catalogue(document: Document, scheme: str, flights: int | None = None) -> list[SitlPlan]:
+    """Build the flights of the catalogue of a scenario, so many of each entry; None: as many as it says.
+
+    Their seeds begin with that of the scenario. What is drawn depends on name and seed of a flight alone.
+    """
     entries = _section_of(document).catalogue
     if not entries:
         raise document.error([Problem((KEY,), "no 'catalogue': expected a list of flights")])
     names = [entry.name for entry in entries]
     if twice := next((name for name in names if names.count(name) > 1), ""):
         raise document.error([Problem((KEY, "catalogue"), f"'{twice}' comes twice")])
+    first = int(document.data.get("seed", 0))
     plans: list[SitlPlan] = []
-    for entry in entries:
-        for seed in seeds:
-            own = [fault.model_dump(exclude_none=True) for fault in entry.own]
-            changes: dict[tuple[str | int, ...], Any] = {("faults",): entry.faults, ("seed",): seed}
+    for number, entry in enumerate(entries):
+        for seed in range(first, first + (flights or entry.flights)):
+            generator = np.random.default_rng([zlib.crc32(entry.name.encode()), seed])
+            try:
+                ours, own = draw([entry.faults, entry.own], generator)
+            except ValueError as error:
+                raise document.error([Problem((KEY, "catalogue", number), str(error))]) from None
+            name = f"{entry.name}-{seed}"
+            changes: dict[tuple[str | int, ...], Any] = {("name",): name, ("faults",): ours, ("seed",): seed}
             changes |= {(KEY, "faults"): own, (KEY, "catalogue"): []}
-            changed = document.replaced(changes, f"catalogue, '{entry.name}'")
-            plans.append(plan_of(changed, scheme, f"{entry.name}-{seed}"))
+            plans.append(plan_of(document.replaced(changes, f"catalogue, '{entry.name}'"), scheme))
     return plans
 
 
@@ -199,7 +216,7 @@ def _section_of(document: Document) -> Section:
 
 
 def _model_at(path: Sequence[str | int]) -> type[BaseModel]:
-    inside = {"faults": OwnFault, "guard": Guard, "checks": Check, "catalogue": Entry, "own": OwnFault}
+    inside = {"faults": OwnFault, "guard": Guard, "checks": Check, "catalogue": Entry}
     names = [inside[str(key)] for key in path if key in inside]
     return names[-1] if names else Section
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadftc_model.samples import DiagnosisReport
+from quadftc_model.spec import parse_spec
 from quadftc_sim.injection import AXES
 from quadftc_sim.rotor_fault import ROTOR
 from quadftc_sitl.journal import Event
@@ -17,6 +18,7 @@ from quadftc_sitl.plan import SitlPlan
 AFTERWARDS = 5.0  # s; what is said up to then after a fault has ended counts as said of it
 EARLY = 1.0  # s; an onset that is found this much before the fault is still its own
 SHOWN = 20  # events of the autopilot in the summary of a fault
+SIZES = ("value", "rate", "sigma")  # of our faults, what says how large they are; SI
 ATTITUDE = ("roll", "pitch", "yaw")
 
 
@@ -31,8 +33,10 @@ def describe_faults(plan: SitlPlan) -> list[dict[str, Any]]:
         else:
             elements = [(ATTITUDE if channel == "attitude" else "xyz")[number] for number in numbers]
         truth = {"source": "sensor" if channel != ROTOR else "rotor", "component": channel}
+        values = parse_spec(fault.spec).values
+        size = next((float(values[key]) for key in SIZES if isinstance(values.get(key), str)), None)
         faults.append(
-            {**truth, "elements": elements, "kind": injection.kind, "spec": fault.spec}
+            {**truth, "elements": elements, "kind": injection.kind, "spec": fault.spec, "size": size}
             | {"start": injection.start, "stop": injection.stop}
         )
     for own in plan.section.faults:
@@ -41,6 +45,7 @@ def describe_faults(plan: SitlPlan) -> list[dict[str, Any]]:
         spec = " ".join(f"{name}={value:g}" for name, value in own.set.items())
         faults.append(
             {"source": "autopilot", "component": component, "elements": elements, "spec": spec}
+            | {"size": max(own.set.values(), key=abs)}
             | {"kind": own.kind, "start": own.start, "stop": own.end}
         )
     return faults

@@ -15,12 +15,14 @@ import pytest
 from quadftc_bags.bag import read_bag
 from quadftc_cli.main import guarded
 from quadftc_flight.scenario import ScenarioError
+from quadftc_flight.scenario.document import parse_document
 from quadftc_sitl import physics, pilot
-from quadftc_sitl.catalogue import table_rows
+from quadftc_sitl.catalogue import job_of, write_lost
 from quadftc_sitl.firmware import open_sockets
 from quadftc_sitl.journal import Event
 from quadftc_sitl.plan import plan_of_text, plans_of_catalogue, read_parameters
-from quadftc_sitl.scoring import is_it, noticed
+from quadftc_sitl.scoring import describe_faults, is_it, noticed
+from quadftc_sitl.sitl_report import confusion_rows, map_rows, table_rows
 
 HERE = Path(__file__).parent
 SCENARIO = """
@@ -183,15 +185,62 @@ def test_plan_that_makes_no_sense_is_refused(before, after, words):
     assert words in str(caught.value)
 
 
-def test_catalogue_has_a_flight_for_each_fault_and_seed():
-    extra = "  catalogue: [{name: healthy}, {name: gps, own: [{set: {SIM_GPS1_GLTCH_X: 1}, start: 1 s}]}]\n"
-    from quadftc_flight.scenario.document import parse_document
+CATALOGUE = """
+  catalogue:
+    - {name: healthy}
+    - name: gyro
+      flights: 3
+      faults:
+        - {kind: bias, channel: gyro, axes: {choice: [x, y]}, value: {uniform: [0.1, 0.2]}, start: 1 s}
+    - {name: gps, flights: 2, own: [{set: {SIM_GPS1_GLTCH_X: {uniform: [1, 2], sign: random}}, start: 1 s}]}
+"""
 
-    plans = plans_of_catalogue(parse_document(SCENARIO + extra, "short.yaml"), "", range(2))
-    assert [plan.name for plan in plans] == ["healthy-0", "healthy-1", "gps-0", "gps-1"]
-    assert [plan.scenario.seed for plan in plans] == [0, 1, 0, 1]
-    assert [fault.failing for fault in plans[2].section.faults] == ["gps"]
-    assert not plans[2].scenario.faults
+
+def plans_of(text, **options):
+    return plans_of_catalogue(parse_document(SCENARIO + text, "short.yaml"), "", **options)
+
+
+def test_catalogue_draws_the_same_faults_for_a_name_and_a_seed():
+    plans = plans_of(CATALOGUE)
+    assert [plan.name for plan in plans] == ["healthy-0", "gyro-0", "gyro-1", "gyro-2", "gps-0", "gps-1"]
+    assert [plan.scenario.seed for plan in plans[1:4]] == [0, 1, 2]
+    sizes = [describe_faults(plan)[0]["size"] for plan in plans[1:4]]
+    assert len({*sizes}) == 3
+    assert all(0.1 < size < 0.2 for size in sizes)
+    (own,) = plans[4].section.faults
+    assert own.failing == "gps"
+    assert 1.0 < abs(own.set["SIM_GPS1_GLTCH_X"]) < 2.0
+    assert not plans[4].scenario.faults
+    more = plans_of(CATALOGUE, flights=4)
+    assert len(more) == 12
+    assert more[4].raw == plans[1].raw
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("uniform: [0.1, 0.2]", "uniform: [0.2, 0.1]", "autopilot.catalogue[1]: uniform: low 0.2, high 0.1"),
+        ("flights: 3", "flights: 0", "autopilot.catalogue[1].flights"),
+        ("name: gps", "name: gyro", "'gyro' comes twice"),
+    ],
+)
+def test_catalogue_that_makes_no_sense_is_refused(before, after, words):
+    with pytest.raises(ScenarioError) as caught:
+        plans_of(CATALOGUE.replace(before, after))
+    assert words in str(caught.value)
+
+
+def test_lost_flight_leaves_a_file_that_flies_it_again(tmp_path):
+    plans = plans_of(CATALOGUE)
+    jobs = [job_of(plan, Path("bin"), {"WP_YAW": 1.0}, tmp_path, "c") for plan in plans]
+    found = [{"survived": plan.name != "gyro-1"} for plan in plans]
+    (file,) = write_lost(jobs, found, tmp_path)
+    command, _, text = file.read_text().partition("\n")
+    assert command.startswith("# quadftc sitl gyro-1.yaml --autopilot ardupilot --binary bin ")
+    assert command.endswith(" --scheme beside --parameters gyro-1.parm")
+    assert read_parameters(file.with_suffix(".parm")) == {"WP_YAW": 1.0}
+    again = plan_of_text(text, "beside", "gyro-1")
+    assert again.raw == plans[2].raw
 
 
 @pytest.mark.parametrize("line", ["WP", "wp_speed 1", "WP_SPEED fast", "WP_SPEED nan"])
@@ -226,15 +275,45 @@ def test_autopilot_has_noticed_what_it_says_from_the_fault_on():
     assert not noticed(fault, events[:2])["noticed"]
 
 
-def test_table_counts_flights_by_fault():
-    def flight(name, survived, delay):
-        told = {"named": delay is not None, "noticed": delay is not None, "delay_s": delay}
-        fault = {"autopilot": told, "observer": {**told, "named": None}, "diagnose": told}
-        return {"name": name, "survived": survived, "faults": [fault], "metrics": {}}
+def flight(name, survived, delay, size=1.0, component="gyro"):
+    told = {"named": delay is not None, "noticed": delay is not None, "delay_s": delay}
+    truth = {"source": "sensor", "component": component, "start": 5.0, "size": size}
+    fault = {**truth, "autopilot": told, "observer": {**told, "named": None}, "diagnose": told}
+    said = {"component": "gyro 2", "time": 5.1, "onset": 5.1, "ambiguous_with": ["attitude/roll"]}
+    return {
+        "name": name,
+        "survived": survived,
+        "faults": [fault],
+        "metrics": {},
+        "autopilot_said": [{"time": 6.0, "serious": True, "kind": "lane"}] * (delay is not None),
+        "observer_said": [said],
+        "diagnose": {"findings": [] if delay is None else [said]},
+    }
 
+
+def test_table_counts_flights_by_fault():
     flights = [
         flight("gps_step-1", True, 0.5),
         flight("gps_step-2", False, None),
         {"name": "x-1", "error": "no"},
     ]
     assert list(table_rows(flights)) == [("gps_step", "2", "1 of 2, 0.5 s", "-", "1 of 2, 0.5 s", "1 of 2")]
+
+
+def test_confusion_has_what_was_said_first_of_each_faulty_component():
+    flights = [
+        flight("a-1", True, 0.5),
+        flight("a-2", True, None),
+        flight("r-1", True, 0.5, component="rotor"),
+    ]
+    diagnose, autopilot = confusion_rows(flights, "diagnose"), confusion_rows(flights, "autopilot")
+    assert diagnose[0] == ("faulty", "nothing", "attitude or gyro")
+    assert diagnose[1:] == [("gyro", "1", "1"), ("rotor", "", "1")]
+    assert autopilot == [("faulty", "nothing", "lane"), ("gyro", "1", "1"), ("rotor", "", "1")]
+
+
+def test_map_counts_lost_flights_by_size():
+    flights = [flight(f"a-{size}", size < 6, 0.5, size=-size) for size in range(1, 9)]
+    rows = map_rows(flights)[1:]
+    assert [row[2] for row in rows] == ["0 of 2", "0 of 2", "1 of 2", "2 of 2"]
+    assert rows[0][1] == "1 to 2.8"

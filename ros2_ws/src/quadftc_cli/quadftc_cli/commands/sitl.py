@@ -46,7 +46,9 @@ def sitl(
     only: Annotated[
         str, Option(help="Of the catalogue, the flights of these names, such as 'gyro_*'.")
     ] = "*",
-    seeds: Annotated[int, Option(min=1, help="Flights of each fault of the catalogue.")] = 1,
+    seeds: Annotated[
+        int | None, Option(min=1, help="Flights of each fault of the catalogue, in place of what it says.")
+    ] = None,
     jobs: Annotated[int, Option(min=1, help="Flights side by side.")] = 1,
     resume: Annotated[bool, Option("--resume", help="Keep the flights that were flown before.")] = False,
     force: Annotated[bool, Option("--force", help="Replace flights that were flown before.")] = False,
@@ -66,8 +68,7 @@ def sitl(
     document = changed_document(find_scenario(scenario), overrides)
     given = {name: value for file in parameters for name, value in read_parameters(file).items()}
     if catalogue:
-        first = int(document.data.get("seed", 0))
-        every = plans_of_catalogue(document, scheme, range(first, first + seeds))
+        every = plans_of_catalogue(document, scheme, seeds)
         plans = [plan for plan in every if fnmatch.fnmatch(plan.name.rpartition("-")[0], only)]
         if not plans:
             raise ValueError(f"--only {only}: no such flight in the catalogue")
@@ -81,6 +82,8 @@ def sitl(
     with Bars(screen) as bars:
         update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
         found = flights.fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
+    if catalogue and (lost := flights.write_lost(todo, found, out)):
+        say(f"lost, one scenario each: {lost[0].parent}")
     raise typer.Exit(_show(found, out, screen, junit, catalogue))
 
 
@@ -90,7 +93,7 @@ def _show(
     """Print what became of flights, write the table of a catalogue, and return the exit code."""
     from quadftc_cli.judging import judge
     from quadftc_flight.junit import write_file
-    from quadftc_sitl.catalogue import COLUMNS, markdown, table_rows
+    from quadftc_sitl.sitl_report import COLUMNS, markdown, table_rows
 
     flown = [each for each in summaries if "error" not in each]
     failed = [each for each in summaries if "error" in each]
@@ -99,7 +102,7 @@ def _show(
         for row in table_rows(flown):
             table.add_row(*row)
         screen.print(table)
-        say(f"table: {write_file(out / 'catalogue.md', markdown(flown))}")
+        say(f"report: {write_file(out / 'catalogue.md', markdown(flown))}")
     elif flown:
         _show_flight(flown[0])
     code = 0

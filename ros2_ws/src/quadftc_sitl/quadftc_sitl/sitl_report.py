@@ -1,0 +1,145 @@
+"""The report of many flights: each fault, what is faulty against what is named, sizes that kill.
+
+Flights are named after their fault in the catalogue, and their seed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quadftc_sitl.scoring import EARLY
+
+COLUMNS = ("fault", "flights", "autopilot", "observer", "diagnose", "survived")
+BINS, FEWEST = 4, 8  # parts of the sizes of a fault; flights of a fault whose sizes are divided
+NOTHING = "nothing"
+SOURCES = ("autopilot", "observer", "diagnose")
+
+Flights = Sequence[Mapping[str, Any]]
+Row = tuple[str, ...]
+
+
+def markdown(summaries: Flights) -> str:
+    """Write the report for a document."""
+    flown = [each for each in summaries if "error" not in each]
+    parts = [_table([COLUMNS, *table_rows(flown)])]
+    for source in SOURCES:
+        heading = f"First said by {'the ' * (source != 'diagnose')}{source}, by what is faulty"
+        parts.append(f"{heading}:\n\n{_table(confusion_rows(flown, source))}")
+    parts.append(f"What kills, by size:\n\n{_table(map_rows(flown))}")
+    return "\n".join(parts)
+
+
+def table_rows(summaries: Flights) -> Iterator[Row]:
+    """Return a row of `COLUMNS` for each fault of a catalogue."""
+    for name, flights in _by_fault(summaries).items():
+        survived = sum(flight["survived"] for flight in flights)
+        cells = [_share(flights, source) for source in SOURCES]
+        yield name, str(len(flights)), *cells, f"{survived} of {len(flights)}"
+
+
+def confusion_rows(flights: Flights, source: str) -> list[Row]:
+    """Return a matrix with its heading: what is faulty, by what a source said first, in how many flights."""
+    counts: dict[str, dict[str, int]] = {}
+    for flight in flights:
+        faults = flight["faults"]
+        if source == "observer" and any(fault["source"] == "autopilot" for fault in faults):
+            continue  # it is not in what the observer sees
+        row = counts.setdefault(_truth(faults), {})
+        said = _first_said(flight, source)
+        row[said] = row.get(said, 0) + 1
+    columns = sorted(
+        {said for row in counts.values() for said in row}, key=lambda said: (said != NOTHING, said)
+    )
+    rows = [(true, *(str(row.get(said, "")) for said in columns)) for true, row in counts.items()]
+    return [("faulty", *columns), *rows]
+
+
+def map_rows(flights: Flights) -> list[Row]:
+    """Return, with a heading, how many flights of each fault were lost, by the size of the fault."""
+    rows: list[Row] = [("fault", "size", "lost")]
+    for name, group in _by_fault(flights).items():
+        sized = [
+            (abs(flight["faults"][0]["size"] or 0.0), not flight["survived"])
+            for flight in group
+            if flight["faults"]
+        ]
+        if not sized:
+            continue
+        sizes, lost = np.array([size for size, _ in sized]), np.array([gone for _, gone in sized])
+        count = BINS if len(sized) >= FEWEST else 1
+        edges = np.quantile(sizes, np.linspace(0.0, 1.0, count + 1))
+        bins = np.clip(np.searchsorted(edges, sizes, side="right") - 1, 0, count - 1)
+        for number, (low, high) in enumerate(itertools.pairwise(edges.tolist())):
+            if here := int(np.sum(bins == number)):
+                span = f"{low:.2g}" if low == high else f"{low:.2g} to {high:.2g}"
+                rows.append((name, span, f"{int(lost[bins == number].sum())} of {here}"))
+    return rows
+
+
+def _by_fault(summaries: Flights) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the flights that were flown, by the name of their fault."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for each in summaries:
+        if "error" not in each:
+            groups.setdefault(each["name"].rpartition("-")[0] or each["name"], []).append(each)
+    return groups
+
+
+def _truth(faults: Flights) -> str:
+    """Say what is faulty; a fault of the autopilot's own simulation is in one of its sensors."""
+    names = [
+        f"{each['component']} (its own)" if each["source"] == "autopilot" else each["component"]
+        for each in faults
+    ]
+    return " and ".join(dict.fromkeys(names)) or NOTHING
+
+
+def _first_said(flight: Mapping[str, Any], source: str) -> str:
+    """Return what a source said first since the first fault: a component, several if in doubt, or nothing."""
+    faults = flight["faults"]
+    start = min((fault["start"] for fault in faults), default=0.0)
+    if source == "autopilot":
+        events = (event for event in flight["autopilot_said"] if event["serious"] and event["time"] >= start)
+        return next((event["kind"] for event in events), NOTHING)
+    said = flight["observer_said"] if source == "observer" else flight["diagnose"]["findings"]
+    key = "time" if source == "observer" else "onset"
+    later = [each for each in said if each[key] >= start - EARLY * bool(faults)]
+    if not later:
+        return NOTHING
+    first = min(later, key=lambda each: each[key])
+    names = {
+        _plain(first["component"]),
+        *(_plain(rival.partition("/")[0]) for rival in first["ambiguous_with"]),
+    }
+    return " or ".join(sorted(names))
+
+
+def _plain(component: str) -> str:
+    return component.rstrip("0123456789 ")
+
+
+def _share(flights: Flights, source: str) -> str:
+    """Say in how many flights a source told of the fault, and when; of healthy ones, in how many of any."""
+    word = "noticed" if source == "autopilot" else "named"
+    faults = [fault[source] for flight in flights for fault in flight["faults"]]
+    if not faults:
+        false = sum(flight["metrics"][f"{source}_false"] > 0 for flight in flights)
+        return f"{false} false"
+    told = [each for each in faults if each[word]]
+    if all(each[word] is None for each in faults):
+        return "-"
+    delays = [each["delay_s"] for each in told]
+    after = f", {statistics.median(delays):.2g} s" if delays else ""
+    return f"{len(told)} of {len(faults)}{after}"
+
+
+def _table(rows: Iterable[Row]) -> str:
+    """Write rows, the first the heading, as a table of Markdown."""
+    heading, *others = rows
+    lines = [heading, ("---",) * len(heading), *others]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
