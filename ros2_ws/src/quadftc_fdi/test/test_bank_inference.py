@@ -31,7 +31,7 @@ def readings(kind, size, slope, repeats_gyro):
 
 
 class SecondFilter:
-    """Kalman filter of one axis by the equations of docs/bank.md; it has size and slope as states, too."""
+    """Kalman filter of one axis by the equations of `bank.motion`; it has size and slope as states, too."""
 
     def __init__(self, P, kind):
         self.x, self.P, self.kind, self.log_likelihood = np.zeros(6), np.zeros((6, 6)), kind, 0.0
