@@ -187,8 +187,16 @@ def around(log: FlightLog, onset: float) -> FlightLog:
     return cut(log, onset - WINDOW, onset + LASTS + WINDOW)
 
 
-def case_cell(judge: Judge, logs: Sequence[FlightLog], title: str, is_offline: bool) -> str:
-    """Shares of the faults of a case that are detected, and isolated [%]."""
+class Score(NamedTuple):
+    """Faults of a case on logs, and how many of them are detected and isolated."""
+
+    cases: int
+    detected: int
+    isolated: int
+
+
+def score(judge: Judge, logs: Sequence[FlightLog], title: str, is_offline: bool) -> Score:
+    """Put the faults of a case on logs, and count those that are named."""
     cases, detected, isolated = 0, 0, 0
     for log in logs:
         for fault in faults_on(log, title):
@@ -202,8 +210,16 @@ def case_cell(judge: Judge, logs: Sequence[FlightLog], title: str, is_offline: b
             cases += 1
             detected += any(abs(each.onset - fault.onset) < SEEN for each in named)
             isolated += any(abs(each.onset - fault.onset) < fault.close for each in right)
-    shares = (f"{100.0 * hits / max(cases, 1):.0f}" for hits in (detected, isolated))
-    return f"{' / '.join(shares)} of {cases}" if cases else NOTHING
+    return Score(cases, detected, isolated)
+
+
+def fault_row(scores: Sequence[Score]) -> list[str]:
+    """How many faults there are of a case, at most, and of each case the shares that are named [%]."""
+    most, cells = max(each.cases for each in scores), list[str]()
+    for cases, *hits in scores:
+        shares = "/".join(f"{100.0 * each / max(cases, 1):.0f}" for each in hits)
+        cells.append(f"{shares}{'' if cases == most else f' of {cases}'}" if cases else NOTHING)
+    return [str(most), *cells]
 
 
 def watch(judge: Judge, logs: Sequence[FlightLog]) -> Watch:
@@ -240,12 +256,12 @@ def make(data: Path) -> dict[str, str]:
                 watches[group] = watch(judge, taken)
                 say(f"{who}: {group}", stderr=True)
             if taken and (is_offline or group in SUITED):
-                cells = [case_cell(judge, taken, title, is_offline) for title in CASES]
-                of_faults += [[who, group, *cells]] if set(cells) != {NOTHING} else []
+                scores = [score(judge, taken, title, is_offline) for title in CASES]
+                of_faults += [[who, group, *fault_row(scores)]] if any(each.cases for each in scores) else []
         of_healthy += healthy_rows(who, watches, is_offline)
     return {
         "league-healthy": markdown(HEALTHY_HEADINGS, of_healthy),
-        "league-faults": markdown(["who", "logs", *CASES], of_faults),
+        "league-faults": markdown(["who", "logs", "faults", *CASES], of_faults),
         "league-others": markdown(OTHERS_HEADINGS, other_rows(labels)),
         "league-px4": markdown(PX4_HEADINGS, px4_rows(data)),
     }

@@ -106,8 +106,8 @@ def with_tables(text: str, tables: Tables, where: str) -> str:
 
 def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Write a table in Markdown."""
-    lines = [headings, ("---",) * len(headings), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    head, *lines = (f"| {' | '.join(line)} |" for line in (headings, *rows))
+    return "\n".join((head, "|" + "---|" * len(headings), *lines))
 
 
 def canvas(rows: int, columns: int, panel: float, **shared: Any) -> tuple[Figure, Any]:
