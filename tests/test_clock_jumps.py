@@ -17,7 +17,7 @@ from quadftc_sim.assembly import injector_from, simulator_from
 from quadftc_tools.soak.node_flight import DISTURBANCE, SENSOR_FAULT, STOP, Hit, scenario_of
 from quadftc_tools.soak.node_judgement import BACK, LARGEST, WITHIN
 
-RATE = 250  # Hz
+RATE = 125  # Hz
 NODES = {
     "fault_observer": FaultObserverNode,
     "disturbance_observer": DisturbanceObserverNode,
@@ -38,6 +38,7 @@ def test_clock_that_jumps_in_lockstep_does_little(lockstep_bench, jump, stress):
     """The test is the vehicle; from 7 s on, all stamps are off by the jump [s]."""
     bench = lockstep_bench
     parameters = node_parameters(scenario_of([Hit("controller", STOP, stress)], 1))
+    parameters["plant"]["rate"] = float(RATE)
     for name, node in NODES.items():
         bench.run(node, **{key: value for key, value in parameters[name].items() if value != []})
     send, torques = bench.talk("imu/data"), bench.listen("torque/command")

@@ -18,7 +18,7 @@ ONSET, PROBABILITY = 0.02, 0.02  # s, 1
 
 @pytest.mark.slow
 @pytest.mark.skipif(DATA is None, reason="no recorded logs beside the repository (shared/data)")
-@pytest.mark.parametrize("name", sampled(STORED, every=8))
+@pytest.mark.parametrize("name", sampled(STORED, every=11))
 def test_verdict_on_a_recorded_log_is_the_stored_one(name: str):
     stored, path = STORED[name], DATA / name
     if not path.exists():

@@ -81,12 +81,12 @@ def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: P
     assert f"<li>{warning.removeprefix('warning: ')}</li>" in page
 
 
-def test_replay_gives_a_page_and_figures_for_print(replayed: Path, tmp_path: Path):
-    out = tmp_path / "report.html"
-    done = report(replayed, "--out", out)
+def test_replay_gives_a_page_and_figures_for_print_in_a_directory(replayed: Path, tmp_path: Path):
+    done, out = report(replayed, "--out", tmp_path), tmp_path / "report.html"
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert f"report on 1 replay: {out}" in done.stdout
+    assert {each.name for each in tmp_path.iterdir()} == {"report.html", "report_figures"}
     page = out.read_text(encoding="utf-8")
     assert f'data-run="{replayed.name}"' in page
     figures = {file.name for file in (tmp_path / "report_figures").iterdir()}
@@ -132,11 +132,6 @@ def test_wrong_bag_among_good_ones_is_one_line_and_leaves_the_old_report(
     assert words in line
     assert out.read_text(encoding="utf-8") == "the old report"
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_directory_as_the_place_of_the_page_gets_it_with_its_figures(runs: Path, tmp_path: Path):
-    assert report(runs, "--out", tmp_path).returncode == 0
-    assert {each.name for each in tmp_path.iterdir()} == {"report.html", "report_figures"}
 
 
 def test_command_starts_without_the_libraries_that_draw():

@@ -27,7 +27,7 @@ from quadftc_tools.attack.logs import MAPPING, WRITERS, blackbox
 from quadftc_tools.attack.table import ATTACKS, LONG
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers that overflow on the way
-EXAMPLES = settings().max_examples // 2  # 20; with --examples 2000 a thousand
+EXAMPLES = settings().max_examples // 4  # 10; with --examples 4000 a thousand
 HEADER = (
     *("gyro_scale", "acc_1G", "motorOutput", "vbatref", "motor_poles", "Firmware revision", "Data version"),
     *("minthrottle", "Field I name", "Field I predictor", "Field P encoding", "Field S encoding"),

@@ -46,13 +46,21 @@ def test_a_scenario_is_judged_by_its_metrics_to_its_end(name):
 
 
 WEAK = {"kind": "loss", "rotors": [1], "value": 0.3, "start": 2.2}  # once the diagnosis has learned
+NAMED = {"observer": "isolating", "duration": 2.6, "faults": [WEAK]}
 GPS = {"grade": "gps", "rate": 20.0, "delay": 0.05}
+
+
+def test_a_weak_rotor_that_is_named_is_judged_by_its_metrics():
+    scenario = free(**NAMED)
+    flight, (outcome,) = fly(scenario), fly_all([batch_flight(scenario)])
+    assert_same_metrics(outcome, flight, scenario)
+    assert np.any(flight.rotor_state == FAULTY)
 
 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"observer": "isolating", "duration": 2.6, "faults": [WEAK]},
+        pytest.param(NAMED, marks=pytest.mark.thorough),
         {"position_sensor": GPS, "sensors": {"grade": "mems", "delay": 3}},
         {"faults": [DROPOUT], "observer": "isolating"},
         {
@@ -72,7 +80,7 @@ def test_a_flight_in_c_is_that_in_numpy_and_is_judged_by_its_metrics(changes):
     flight, (outcome,), (other,) = fly(scenario), fly_all(flights), fly_all(flights, "numpy")
     assert_same_metrics(outcome, flight, scenario)
     assert_same_outcome(outcome, other)
-    assert bool(np.any(flight.rotor_state == FAULTY)) == (WEAK in changes.get("faults", ()))
+    assert bool(np.any(flight.rotor_state == FAULTY)) == (changes is NAMED)
 
 
 @pytest.mark.thorough  # the plant in JAX: quadftc_sim/test/test_laws.py

@@ -268,8 +268,9 @@ def test_results_with_two_workers_are_those_without(alike, tmp_path):
     assert sum(seen) <= extent.samples
 
 
-def test_a_worker_that_is_killed_in_the_middle_loses_nothing():
+def test_workers_share_a_gpu_and_one_that_is_killed_in_the_middle_loses_nothing(monkeypatch):
     """It is started again, and its task done again; that of a cluster that exists, below, flies."""
+    monkeypatch.delenv(TAKE_ALL, raising=False)
 
     def double(number, progress):  # a worker gets it by value
         progress(1)
@@ -278,6 +279,8 @@ def test_a_worker_that_is_killed_in_the_middle_loses_nothing():
 
     killed = threading.Event()
     with cluster_client(None, 2) as client:
+        assert "2 x " in devices(client, "jax")
+        assert set(client.run(os.getenv, TAKE_ALL).values()) == {"false"}  # of its memory
         pids = client.run(os.getpid)
         assert len(set(pids.values())) == 2
         victim = sorted(pids.values())[0]
@@ -292,13 +295,6 @@ def test_a_worker_that_is_killed_in_the_middle_loses_nothing():
         assert victim not in client.run(os.getpid).values()
     assert killed.is_set()
     assert found == {number: 2 * number for number in range(4)}
-
-
-def test_workers_that_fly_in_jax_share_the_memory_of_a_gpu(monkeypatch):
-    monkeypatch.delenv(TAKE_ALL, raising=False)
-    with cluster_client(None, 2) as client:
-        assert "2 x " in devices(client, "jax")
-        assert set(client.run(os.getenv, TAKE_ALL).values()) == {"false"}
 
 
 @pytest.fixture
@@ -361,7 +357,8 @@ def in_this_process(monkeypatch):
 
 
 @pytest.mark.usefixtures("in_this_process")
-def test_a_campaign_goes_on_where_it_was_and_ends_the_same(alike, tmp_path):
+def test_a_campaign_goes_on_where_it_was_and_ends_the_same(alike, tmp_path, monkeypatch):
+    """Also where each flight takes so long that it is handed over by itself."""
     whole = CampaignRun(alike, tmp_path / "whole", SIZE)
     whole.open(resume=False)
     whole.fly(None, 1, lambda samples: None)
@@ -375,6 +372,8 @@ def test_a_campaign_goes_on_where_it_was_and_ends_the_same(alike, tmp_path):
     (broken / "chunks" / ".00002.parquet.part").write_bytes(b"half")  # what a kill leaves
     again = CampaignRun(alike, broken, SIZE)
     assert again.open(resume=True).missing == 2
+    monkeypatch.setattr(campaign_run, "PATIENCE", 0.0)
+    assert {row["flight"] for row in fly_chunk(alike, range(SIZE), patience=0.0)} == {0}
     again.fly(None, 1, lambda samples: None)
     frame, _ = again.finish()
     assert frame.equals(expected)

@@ -12,7 +12,7 @@ from quadftc_cli.main import guarded
 from quadftc_flight.scenario import ScenarioError, load_scenario
 
 BASE = """
-duration: 2 s
+duration: 0.5 s
 rate: 250 Hz
 vehicle: qball_x4
 sensors: {grade: mems, gyro_bias: 0}
@@ -65,7 +65,7 @@ def searched(campaign, fly=made_up, **changes):
 
 
 def test_the_search_goes_where_the_cost_is_least(tmp_path):
-    search, steps = searched(loaded(tmp_path), steps=80, rate=0.05)
+    search, steps = searched(loaded(tmp_path), steps=60, rate=0.06)
     (start, first_cost), *_, (_, last_cost) = steps
     assert first_cost == pytest.approx(1.0)
     assert last_cost < first_cost

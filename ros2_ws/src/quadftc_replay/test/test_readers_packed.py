@@ -150,7 +150,7 @@ READS = {
     "fails": "raise KeyError(mapping.suffix)",
 }
 SAID = {
-    "loops": "was stopped: more than 2 s of processor time for 0.00",
+    "loops": "was stopped: more than 1 s of processor time for 0.00",
     "fills": "was stopped: more than 2048 MiB of memory for 0.00",
     "crashes": "crashed (SIGSEGV)",
     "fails": "failed: KeyError: '.toml'",
@@ -165,7 +165,7 @@ def test_reader_that_misbehaves_is_stopped_and_named(tmp_path, monkeypatch, mapp
         "import sys, broken\nsys.modules['quadftc_replay.readers.table'] = broken\n"
     )
     monkeypatch.setitem(bounded.SETTINGS, "PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
-    monkeypatch.setattr(bounded, "processor_time", lambda _reader, _size: 2)
+    monkeypatch.setattr(bounded, "processor_time", lambda _reader, _size: 1)
     path = tmp_path / "flight.csv"
     path.write_text(TABLE)
     with pytest.raises(BagError) as caught:
@@ -188,11 +188,11 @@ def looping_log(path):
 
 def test_log_that_makes_the_library_loop_is_refused(tmp_path, monkeypatch):
     path = looping_log(tmp_path / "log.ulg")
-    monkeypatch.setattr(bounded, "processor_time", lambda _reader, _size: 2)
+    monkeypatch.setattr(bounded, "processor_time", lambda _reader, _size: 1)
     with pytest.raises(BagError) as caught:
         read_bounded(path)
     assert str(caught.value) == (
-        f"{path}: the reader of a PX4 ULog log was stopped: more than 2 s of processor time for 0.0121 MB"
+        f"{path}: the reader of a PX4 ULog log was stopped: more than 1 s of processor time for 0.0121 MB"
     )
 
 

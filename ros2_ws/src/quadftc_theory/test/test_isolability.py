@@ -214,10 +214,10 @@ def test_structural_answer_is_the_rank_condition_with_random_coefficients(case):
     np.testing.assert_array_equal(rank_isolable, isolable)
 
 
-@pytest.mark.parametrize("vehicle", [QBALL, load_vehicle("crazyflie_2x")], ids=lambda each: each.name)
+@pytest.mark.parametrize("name", ["qball_x4", pytest.param("crazyflie_2x", marks=pytest.mark.thorough)])
 @EVERY_CASE
-def test_coefficients_of_a_quadrotor_cancel_nowhere(case, vehicle):
-    result = analysed(vehicle, **case)
+def test_coefficients_of_a_quadrotor_cancel_nowhere(case, name):
+    result = analysed(load_vehicle(name), **case)
     np.testing.assert_array_equal(result.rank_detectable, result.detectable)
     np.testing.assert_array_equal(result.rank_isolable, result.isolable)
 
@@ -282,7 +282,7 @@ def test_linear_model_is_the_derivative_of_the_equations_of_the_plant():
     np.testing.assert_allclose(-model.A[:6, :6], np.stack(differences, axis=1), atol=1e-8)
 
 
-@pytest.mark.parametrize("actuators", ["axes", "rotors"])
+@pytest.mark.parametrize("actuators", ["axes", pytest.param("rotors", marks=pytest.mark.thorough)])
 def test_a_position_tells_attitude_from_gyro_in_roll_and_pitch(actuators):
     known = {"disturbances": "unknown_inputs", "air": "wind", "actuators": actuators}
     without, position, heading = (
