@@ -10,6 +10,7 @@ import pytest
 from accusing_observer import registered
 from std_srvs.srv import Trigger
 
+from bag_messages import messages_by_topic
 from node_bench import NodeBench
 from quadftc_bags.bag import read_bag
 from quadftc_control.controller import controllers
@@ -36,19 +37,6 @@ SOONER = (
 )
 
 
-def messages_by_topic(directory):
-    """Topic -> messages as bytes; the compute time, the last 8 bytes of control/status, left out.
-
-    /diagnostics has many publishers, between which there is no order within a stamp: it is sorted.
-    """
-    found: dict[str, list[tuple[int, bytes]]] = {}
-    for topic, log_time_ns, data in read_bag(directory).messages():
-        cut = data[:-8] if topic == "/control/status" else data
-        found.setdefault(topic, []).append((log_time_ns, bytes(cut)))
-    found["/diagnostics"].sort()
-    return found
-
-
 def assert_equal_bit_for_bit(actual: Flight, expected: Flight):
     for field in dataclasses.fields(Flight):
         np.testing.assert_array_equal(
@@ -65,7 +53,7 @@ def test_graph_equals_the_closed_loop_when_everything_happens_at_once(fly_graph,
 
 
 def test_the_reference_flies_the_same_to_rounding_and_in_the_graph_bit_for_bit(fly_graph, busy_scenario):
-    scenario = with_duration(busy_scenario, 0.6)  # it takes long
+    scenario = with_duration(busy_scenario, 0.9)  # it takes long
     directory, _ = fly_graph(scenario, "proposed", engine="numpy")
     flight, of_c = flight_from_bag(read_bag(directory)), fly(scenario, "proposed")
     assert_equal_bit_for_bit(flight, fly(scenario, "proposed", engine="numpy"))
@@ -244,14 +232,6 @@ def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):
     assert len(first["/imu/data"]) > 300
     assert first.keys() == second.keys()
     assert [topic for topic in first if first[topic] != second[topic]] == []
-
-
-@pytest.mark.serial  # seven processes on a starved machine may lose messages for good
-def test_processes_give_the_same_messages_as_one_process(fly_graph, busy_scenario):
-    composed = messages_by_topic(fly_graph(busy_scenario, "proposed")[0])
-    processes = messages_by_topic(fly_graph(busy_scenario, "proposed", graph="processes")[0])
-    assert composed.keys() == processes.keys()
-    assert [topic for topic in composed if composed[topic] != processes[topic]] == []
 
 
 def test_other_executor_gives_the_same_messages(tmp_path, fly_graph, busy_scenario):

@@ -20,7 +20,7 @@ from quadftc_msgs.msg import ControlStatus
 from quadftc_msgs.srv import InjectFault
 from quadftc_ros.scheduling import Scheduling
 
-DURATION = 2.0  # s
+DURATION = 1.0  # s
 RATE = 250  # Hz
 PERIOD_NS = 4_000_000
 TRUTH = ("plant/attitude", "plant/rate", "disturbance/applied")
@@ -63,21 +63,26 @@ def test_flight_in_real_time_is_whole_and_at_the_rate(fly_graph, paper_scenario,
     assert summary["wall_time_s"] > 0.9 * DURATION
 
 
-def test_diagnosis_that_falls_silent_is_flown_without_until_it_is_back():
+def test_fault_injected_in_flight_is_estimated_and_a_silent_diagnosis_is_flown_without_until_it_is_back():
     """The fault observer is deactivated. Frozen, it could hold a lock of the transport others wait for."""
-    plan = GraphPlan({"fault_observer": {"observer": "supervised"}}, "realtime")
+    plan = GraphPlan({"fault_observer": {"observer": "supervised"}, "plant": {"rate": 100.0}}, "realtime")
     with NodeBench("realtime") as bench, ProcessGraph(plan) as graph:
+        truth, estimates = bench.listen("fault/injected"), bench.listen("fault/estimate")
         states = bench.listen("control/status")
         assert graph.wait_until_connected()
         bench.connect()
-        changed = []
+        answers = []
 
         def change(label):
             request = {"transition": Transition(label=label)}
-            changed.append(bench.call(ChangeState, "fault_observer/change_state", **request).success)
+            answers.append(bench.call(ChangeState, "fault_observer/change_state", **request).success)
 
         def watch(_samples):
             bench.until(lambda: states and states[-1].mode == ControlStatus.MODE_FULL)
+            request = {"kind": "bias", "channel": "attitude", "axes": ["roll"]}
+            request |= {"parameter_names": ["value"], "parameter_values": [0.05]}
+            answers.append(bench.call(InjectFault, "fault_injector/inject", **request).success)
+            bench.until(lambda: abs(estimates[-1].vector.x - 0.05) < 0.005)
             change("deactivate")
             bench.until(lambda: states[-1].mode == ControlStatus.MODE_NO_DIAGNOSIS)
             change("activate")
@@ -85,29 +90,9 @@ def test_diagnosis_that_falls_silent_is_flown_without_until_it_is_back():
             return False
 
         graph.run(watch)
-    assert changed == [True, True]
-    assert graph.exit_code == 0
-
-
-def test_faults_injected_in_flight_are_estimated(paper_scenario):
-    plan = GraphPlan({**node_parameters(paper_scenario), "plant": {"rate": 100.0}}, "realtime")
-    with NodeBench("realtime") as bench, ProcessGraph(plan) as graph:
-        truth, estimates = bench.listen("fault/injected"), bench.listen("fault/estimate")
-        graph.wait_until_connected()
-        bench.connect()
-        answers = []
-
-        def inject(_samples):
-            bench.until(lambda: estimates)
-            request = {"kind": "bias", "channel": "attitude", "axes": ["roll"]}
-            request |= {"parameter_names": ["value"], "parameter_values": [0.05]}
-            answers.append(bench.call(InjectFault, "fault_injector/inject", **request))
-            bench.until(lambda: abs(estimates[-1].vector.x - 0.05) < 0.005)
-            return False
-
-        graph.run(inject)
-    assert answers[0].success
+    assert answers == [True] * 3
     assert truth[-1].vector.x == pytest.approx(0.05, abs=1e-9)
+    assert graph.exit_code == 0
 
 
 def test_flight_ends_with_an_error_when_the_plant_hangs(paper_scenario, monkeypatch):
