@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import hashlib
 import itertools
 import json
-import operator
+import math
 import os
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -37,7 +39,9 @@ from quadftc_sim.assembly import sample_count
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
 FORMAT = 3
 ANOTHER = "choose another --out"
-FLIGHTS_A_CHUNK = 32  # what a kill loses at most, of each worker
+FLIGHTS_A_CHUNK = 32
+CHUNKS_AT_LEAST = 16  # of flights in a loop, where there are so many: so that all cores have some
+PATIENCE = 20.0  # s; a worker hands over what it has flown after that, the most that a kill loses
 TOGETHER_A_CHUNK = 2048  # in JAX, which flies them together
 
 
@@ -72,9 +76,14 @@ class CampaignRun:
         self._chunks = [(numbers, variant) for variant in campaign.variants for numbers in pieces]
         self._paths = [directory / CHUNKS / f"{place:05d}.parquet" for place in range(len(self._chunks))]
 
-    @property
-    def _missing(self) -> list[int]:
-        return [place for place, path in enumerate(self._paths) if not path.is_file()]
+    def _missing(self) -> dict[int, list[int]]:
+        """Return the flights that are not on the disk, by the place of their chunk."""
+        missing: dict[int, list[int]] = {}
+        for place, ((numbers, _), path) in enumerate(zip(self._chunks, self._paths, strict=True)):
+            there = {*pl.read_parquet(path, columns=["flight"])["flight"]} if path.is_file() else set[int]()
+            if left := [number for number in numbers if number not in there]:
+                missing[place] = left
+        return missing
 
     def open(self, resume: bool) -> Extent:
         """Make the directory or go on with it; say how much is to be flown.
@@ -95,13 +104,13 @@ class CampaignRun:
             self._lock()
             path.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
             damaged = tuple(self._remove_damaged())
-        missing = self._missing
+        missing = self._missing()
         scenarios = [first[place] for place in missing]
         if self.campaign.engine == "c":
             compile_laws(loop for scenario in scenarios for loop in _loops_of(self.campaign, scenario))
         counts = (sample_count(scenario.duration, scenario.rate) for scenario in scenarios)
-        sizes = (len(self._chunks[place][0]) for place in missing)
-        return Extent(len(self._chunks), len(missing), sum(map(operator.mul, sizes, counts)), damaged)
+        samples = sum(len(left) * count for left, count in zip(missing.values(), counts, strict=True))
+        return Extent(len(self._chunks), len(missing), samples, damaged)
 
     def _lock(self) -> None:
         """Keep the directory to this process until it ends; a `CampaignError` says that another has it."""
@@ -125,8 +134,8 @@ class CampaignRun:
                 continue
             try:
                 rows = pl.read_parquet(path)
-                found = {*rows["flight"]}, {*rows["variant"]}
-                why = "" if found == ({*numbers}, {variant.name}) else "holds other flights"
+                fits = {*rows["flight"]} <= {*numbers} and {*rows["variant"]} == {variant.name}
+                why = "" if fits else "holds other flights"
             except Exception as error:  # whatever the library makes of bytes that are no table
                 why = str(error).partition("\n")[0] or type(error).__name__
             if why:
@@ -140,16 +149,28 @@ class CampaignRun:
         progress: Progress,
         told: Callable[[str], None] = lambda devices: None,
     ) -> None:
-        """Fly the chunks that are missing, on a cluster as in `cluster_client`; ``told`` gets its devices."""
-        missing = self._missing
+        """Fly what is missing, on a cluster as in `cluster_client`; ``told`` gets its devices.
+
+        A chunk that takes longer than `PATIENCE` is flown piece by piece; its file grows.
+        """
+        missing = self._missing()
         if not missing:
             return
-        chunks = [self._chunks[place] for place in missing]
-        tasks = [(self.campaign.model_copy(update={"variants": (one,)}), numbers) for numbers, one in chunks]
+        alone = {
+            each.name: self.campaign.model_copy(update={"variants": (each,)})
+            for each in self.campaign.variants
+        }
+        function = functools.partial(fly_chunk, patience=PATIENCE)
         with cluster_client(address, min(workers, len(missing))) as client:
             told(devices(client, self.campaign.engine))
-            for index, rows in run_tasks(client, fly_chunk, tasks, progress):
-                _write_table(table_of(rows), self._paths[missing[index]])
+            while missing:
+                places = [*missing]
+                tasks = [(alone[self._chunks[place][1].name], missing[place]) for place in places]
+                for index, rows in run_tasks(client, function, tasks, progress):
+                    path = self._paths[places[index]]
+                    before = [pl.read_parquet(path)] if path.is_file() else []
+                    _write_table(pl.concat([*before, table_of(rows)], how="diagonal_relaxed"), path)
+                missing = self._missing()
 
     def finish(self) -> tuple[pl.DataFrame, dict[str, Any]]:
         """Join the chunks, and summarise; both are written, or it is a `CampaignError`."""
@@ -177,7 +198,10 @@ def chunks_of(campaign: Campaign, size: int | None = None) -> list[list[int]]:
     """
     is_loop, bags = campaign.source.kind == "loop", len(campaign.recordings)
     cells = bags or campaign.cells
-    size = size or (TOGETHER_A_CHUNK if campaign.engine == JAX else FLIGHTS_A_CHUNK)
+    together = TOGETHER_A_CHUNK if campaign.engine == JAX else FLIGHTS_A_CHUNK
+    if not bags and campaign.engine != JAX:
+        together = min(together, -(-campaign.flights // CHUNKS_AT_LEAST))
+    size = size or together
     groups: dict[Any, list[int]] = {}
     for cell in range(min(cells, campaign.flights)):
         structure = cell if bags else None
@@ -195,12 +219,19 @@ def pieces_of(numbers: list[int], size: int) -> list[list[int]]:
     return [numbers[low:high] for low, high in itertools.pairwise(edges)]
 
 
-def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = lambda samples: None) -> Rows:
+def fly_chunk(
+    campaign: Campaign,
+    numbers: Sequence[int],
+    progress: Progress = lambda samples: None,
+    patience: float = math.inf,
+) -> Rows:
     """Fly some flights of a campaign with all its variants here; return rows of `quadftc_campaign.table`.
 
+    After ``patience`` [s] it returns the rows of those flown, at least one; JAX flies all at the same time.
     A `ScenarioError`: drawn values make no scenario. A `ValueError`: JAX cannot trace a law.
     """
     rows: Rows = []
+    end = time.monotonic() + patience
     fly = _fly_loop if campaign.source.kind == "loop" else fly_open
     for variant in campaign.variants:
         scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
@@ -210,6 +241,8 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
             faults = ({f"fault.{name}": value for name, value in each.items()} for each in records)
             of_faults = [{**flight, "fault": index, **fault} for index, fault in enumerate(faults)]
             rows += of_faults or [{**flight, "fault": None}]
+            if time.monotonic() > end:
+                return rows
     return rows
 
 

@@ -1,6 +1,6 @@
 """The batch engine on CPUs: flights in C, one after the other; of each it keeps a tally.
 
->>> outcomes = fly_all([batch_flight(scenario) for scenario in scenarios])
+>>> outcomes = [*fly_all([batch_flight(scenario) for scenario in scenarios])]
 
 It keeps one core busy; for more, start a process for each (`quadftc_campaign` does). On a GPU flies
 `quadftc_campaign.batch.jax_engine`.
@@ -8,7 +8,7 @@ It keeps one core busy; for more, start a process for each (`quadftc_campaign` d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,17 +84,16 @@ def fly_all(
     engine: str = "c",
     progress: Progress = lambda samples: None,
     log: Log = say,
-) -> list[Outcome]:
-    """Fly flights in C, or in NumPy where ``engine`` says so or a law cannot be compiled."""
-    run, kept, outcomes = engine_named(engine, log), dict[Any, Flown](), list[Outcome]()
+) -> Iterator[Outcome]:
+    """Fly flights one by one in C, or in NumPy where ``engine`` says so or a law cannot be compiled."""
+    run, kept = engine_named(engine, log), dict[Any, Flown]()
     for flight in flights:
         key = structure_of(flight.loop)
         if key in kept:
             kept[key].configure(flight.loop)
         else:
             kept[key] = flown_by(run, flight.loop, LoopDraws.example(flight.loop.loop))
-        outcomes.append(_fly(flight, kept[key], progress))
-    return outcomes
+        yield _fly(flight, kept[key], progress)
 
 
 def _fly(flight: BatchFlight, flown: Flown, progress: Progress) -> Outcome:

@@ -102,12 +102,13 @@ def _fly_all(
 
     screen = console()
     flown = CampaignRun(loaded, directory)
+    extents = f"{loaded.flights} flights x {len(loaded.variants)} variants"
+    screen.print(f"{loaded.name}: {extents}, by {loaded.engine}, {loaded.flown_precision}")
     extent = flown.open(resume)
     warn(extent.damaged)
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
-    how = f"by {loaded.engine}, {loaded.flown_precision}, on {where}"
-    extents = f"{loaded.flights} flights x {len(loaded.variants)} variants"
-    screen.print(f"{loaded.name}: {extents}, {how}; {extent.missing} of {extent.chunks} chunks to fly")
+    screen.print(f"{extent.missing} of {extent.chunks} chunks to fly; starting workers on {where}")
+    phase = "compiling, then flying" if loaded.engine == "jax" else "flying"
     started, steps = time.monotonic(), list[int]()
 
     def advance(samples: int) -> None:
@@ -118,7 +119,7 @@ def _fly_all(
     try:
         with Bars(screen) as bars:
             update = bars.add("flying")
-            flown.fly(scheduler, cores, advance, lambda devices: screen.print(f"computed on {devices}"))
+            flown.fly(scheduler, cores, advance, lambda devices: screen.print(f"{phase} on {devices}"))
     except KeyboardInterrupt:
         screen.print(f"interrupted; --resume goes on with what is in {directory}")
         return INTERRUPTED
