@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import pytest
 import typer
 import yaml
 
-from command_bench import call_quadftc, installed_command, run_installed
+from command_bench import Done, call_quadftc, installed_command, run_installed
 from quadftc_bags.bag import read_bag
 from quadftc_cli.main import guarded
 
@@ -54,8 +55,16 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_run_writes_bag_and_summary_and_exits_with_0(folder: Path):
-    done = run_installed("run", "tiny.yaml", "--out", "out")
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory) -> tuple[Path, Done]:
+    """A folder with a run by the installed command, and what that said."""
+    folder = tmp_path_factory.mktemp("flown")
+    (folder / "tiny.yaml").write_text(SCENARIO, encoding="utf-8")
+    return folder, run_installed("run", folder / "tiny.yaml", "--out", folder / "out")
+
+
+def test_run_writes_bag_and_summary_and_exits_with_0(flown):
+    folder, done = flown
     assert done.returncode == 0, done.stderr
     run = folder / "out" / "tiny-proposed"
     topics = read_bag(run).topics
@@ -134,8 +143,8 @@ def test_wrong_input_exits_with_2_and_says_what_was_expected(
     assert all(word in done.stderr for word in words), done.stderr
 
 
-def test_earlier_run_is_kept_unless_forced(folder: Path):
-    assert call_quadftc("run", "tiny.yaml", "--out", "out").returncode == 0
+def test_earlier_run_is_kept_unless_forced(flown, folder: Path):
+    shutil.copytree(flown[0] / "out", "out")
     refused = call_quadftc("run", "tiny.yaml", "--out", "out")
     assert refused.returncode == 2
     assert "--force" in refused.stderr
@@ -210,10 +219,10 @@ def test_doctor_finds_this_installation_well(folder: Path):
     assert "BAD" not in done.stdout
 
 
-def test_play_publishes_the_bag(folder: Path):
-    assert call_quadftc("run", "tiny.yaml", "--out", "out").returncode == 0
-    count = sum(topic.count for topic in read_bag(folder / "out" / "tiny-proposed").topics.values())
-    done = call_quadftc("play", os.fspath(Path("out", "tiny-proposed")), "--rate", "10", "--delay", "0")
+def test_play_publishes_the_bag(flown):
+    run = flown[0] / "out" / "tiny-proposed"
+    count = sum(topic.count for topic in read_bag(run).topics.values())
+    done = call_quadftc("play", run, "--rate", "10", "--delay", "0")
     assert done.returncode == 0, done.stderr
     assert f"{count} messages" in done.stdout
 

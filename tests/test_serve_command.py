@@ -85,11 +85,19 @@ def test_name_of_a_file_becomes_a_plain_one(name, expected):
     assert safe_name(name) == expected
 
 
-@pytest.mark.skipif(LOG is None, reason="no recorded logs beside the repository (shared/data)")
-def test_log_is_judged_and_its_verdict_handed_out(client, folder):
-    assert LOG is not None
+@pytest.fixture(scope="module")
+def judged(client, folder) -> str:
+    """A log that was judged."""
+    if LOG is None:
+        pytest.skip("no recorded logs beside the repository (shared/data)")
     key = post(client, LOG.name, LOG.read_bytes()).json()["id"]
-    job = await_end(folder, key)
+    await_end(folder, key)
+    return key
+
+
+def test_log_is_judged_and_its_verdict_handed_out(client, folder, judged):
+    assert LOG is not None
+    key, job = judged, await_end(folder, judged)
     assert (job["state"], job["name"], job["size"]) == ("done", LOG.name, LOG.stat().st_size)
     response = client.get(f"/logs/{key}/verdict.json")
     assert response.json()["log"] == LOG.name
@@ -181,7 +189,7 @@ for (const type of ["dragover", "drop"]) {
 """
 
 
-@pytest.mark.skipif(LOG is None, reason="no recorded logs beside the repository (shared/data)")
+@pytest.mark.usefixtures("judged")
 def test_in_a_browser_logs_are_dropped_and_verdicts_read_and_removed(
     browser, address, folder, tmp_path, monkeypatch
 ):
@@ -189,8 +197,9 @@ def test_in_a_browser_logs_are_dropped_and_verdicts_read_and_removed(
 
     assert LOG is not None
     own = address.partition("?")[0]
-    large = tmp_path / "large"
+    large, other = tmp_path / "large", tmp_path / "other.txt"
     large.write_bytes(bytes((1 << 20) + 1))
+    other.write_text("no log")
     before = len(list(folder.iterdir()))
     browser.set_window_size(500, 800)
     # by the file by which the command opens it: for a browser that is a page of another site
@@ -200,7 +209,7 @@ def test_in_a_browser_logs_are_dropped_and_verdicts_read_and_removed(
         browser.get(opened.get(timeout=PATIENCE))
         wait_for(browser, f"return location.href === '{own}'")
     wait_for(browser, f"return {CARDS}.length === {before}")
-    browser.find_element(By.ID, "files").send_keys(f"{LOG}\n{large}")
+    browser.find_element(By.ID, "files").send_keys(f"{other}\n{large}")
     ended = f"{CARDS}.filter(each => ['done', 'failed'].includes(each.dataset.state)).length"
     wait_for(browser, f"return {ended} === {before + 1}")
     browser.execute_script(DROP)  # a second time, and anywhere on the page

@@ -1,11 +1,14 @@
 """Rotor diagnosis by itself: what gyro and accelerometer say of the effectiveness of each rotor."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
+from in_c import fly_law
 
 from quadftc_fdi.rotor_diagnosis.monitor import RotorInputs, estimate_rotors, start_rotors, step_rotors
-from quadftc_fdi.rotor_diagnosis.rotor_model import RotorModel, effects_of, model_of
+from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, RotorModel, effects_of, model_of
 from quadftc_model.samples import ALARMS, FAULT_KINDS, STARTING
 from quadftc_model.vehicle import load_vehicle
 
@@ -52,13 +55,32 @@ def flight(model, loss=lambda t: 0.0, count=1800, seed=1, gusts=0.5, torque=(4.0
     return inputs
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The diagnosis as a law."""
+
+    effects: Effects
+
+    def init(self, inputs):
+        return start_rotors(self.effects, inputs)
+
+    def step(self, state, inputs, dt):
+        state = step_rotors(state, self.effects, inputs, DT)
+        return state, estimate_rotors(state)
+
+
 def diagnose(model, inputs):
-    """Estimates of a flight."""
-    effects, estimates = effects_of(model), []
-    state = start_rotors(effects, inputs[0])
+    """Estimates of a flight, in C."""
+    return fly_law(Diagnosis(effects_of(model)), inputs, DT)[1]
+
+
+def diagnose_in_numpy(model, inputs):
+    """The same in NumPy, of several flights, too."""
+    law, estimates = Diagnosis(effects_of(model)), []
+    state = law.init(inputs[0])
     for each in inputs:
-        state = step_rotors(state, effects, each, DT)
-        estimates.append(estimate_rotors(state))
+        state, estimate = law.step(state, each, DT)
+        estimates.append(estimate)
     return estimates
 
 
@@ -151,9 +173,9 @@ def test_batch_equals_the_loop():
     flights = [flight(QUAD, one_rotor(QUAD, index, 0.3), 850, index) for index in range(3)]
     flights = [measured(inputs, lambda _, wanted: wanted) for inputs in flights]
     batch = [RotorInputs(*map(np.stack, zip(*each, strict=True))) for each in zip(*flights, strict=True)]
-    many = diagnose(QUAD, batch)
+    many = diagnose_in_numpy(QUAD, batch)
     for one, inputs in enumerate(flights):
-        for index, estimate in enumerate(diagnose(QUAD, inputs)):
+        for index, estimate in enumerate(diagnose_in_numpy(QUAD, inputs)):
             for column, value in zip(many[index], estimate, strict=True):
                 np.testing.assert_allclose(column[one], value, rtol=1e-9, atol=1e-12)
 
@@ -161,7 +183,7 @@ def test_batch_equals_the_loop():
 def test_jax_gives_the_same_numbers():
     jax.config.update("jax_enable_x64", True)
     inputs, effects = flight(QUAD, one_rotor(QUAD, 2, 0.3), 850), effects_of(QUAD)
-    expected = diagnose(QUAD, inputs)
+    expected = diagnose_in_numpy(QUAD, inputs)
 
     def step(state, each):
         state = step_rotors(state, effects, each, DT)
