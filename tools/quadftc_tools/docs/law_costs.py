@@ -13,13 +13,18 @@ from typing import Any
 
 from quadftc_tools.study.page import NOTHING, markdown, run_study
 
+FREE = "free flight"
 HEADS = ("law", "where", "NumPy [us]", "C from Python [us]", "in a loop of C [us]", "compile [s]")
 
 
 def table(folder: Path) -> str:
-    """Return the table of the results in a folder; a law that no compiler takes has NumPy alone."""
+    """Return the table of the results in a folder: of a law in both places the dearer one, in free flight.
+
+    A law that no compiler takes has NumPy alone.
+    """
     in_c, in_numpy = (_results(folder / f"step_{engine}.json") for engine in ("c", "numpy"))
-    return markdown(HEADS, (_row(key, row, in_c.get(key, {})) for key, row in in_numpy.items()))
+    shown = (key for key in in_numpy if key[2] == FREE or (*key[:2], FREE) not in in_numpy)
+    return markdown(HEADS, (_row(key, in_numpy[key], in_c.get(key, {})) for key in shown))
 
 
 def _results(path: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
