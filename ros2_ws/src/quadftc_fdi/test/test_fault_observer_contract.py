@@ -25,7 +25,7 @@ from quadftc_model.samples import (
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 EVERY_OBSERVER = pytest.mark.parametrize("name", fault_observers.names())
-DT, COUNT, LANES = 0.004, 60, 5
+DT, COUNT, LANES = 0.004, 40, 5
 SHAPES = {"fault": (3,), "std_dev": (3,), "state": (3,), "onset_age": (3,)}
 
 
@@ -296,9 +296,9 @@ def test_parameter_out_of_bounds_is_refused_by_name(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",  # XLA takes half a minute for isolating, of which supervised is a part, and seconds for bank
+    "name",  # XLA takes half a minute for isolating, and seconds for bank and supervised
     [
-        pytest.param(name, marks=pytest.mark.thorough if name in ("isolating", "bank") else ())
+        pytest.param(name, marks=pytest.mark.thorough if name in ("isolating", "bank", "supervised") else ())
         for name in fault_observers.names()
     ],
 )
