@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
+import re
 import signal
 import tempfile
 from collections.abc import Iterator
@@ -187,6 +188,8 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     left_out = (name in SLOW_FILES and "not slow" in chosen) or (
         name in SERIAL_FILES and "not serial" in chosen
     )
+    if chosen == "serial" and name.startswith("test_") and name not in SERIAL_FILES:
+        left_out = not re.search(r"\bbench\b|\bserial\b", collection_path.read_text(encoding="utf-8"))
     return left_out or None
 
 
