@@ -44,6 +44,7 @@ from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import NEVER_NS
 
 LATE = 0.1  # s; real time: from when on a flight behind the wall clock is reported
+GIVEN_UP_NS = 500_000_000  # real time: a flight that is later is not caught up with, it is slowed
 PAUSE = MAX_GAP + 0.2  # s; real time: between two flights, so that the laws of all nodes restart
 
 
@@ -75,6 +76,7 @@ class PlantNode(GraphNode):
         self._values = self.settings.values()
         engine = engine_from(self._values, self.get_logger().info)
         self.flight = flight_from(self._values, 0, time.monotonic_ns(), engine=engine)
+        self._slowed_ns = 0  # real time: by how much the flight was slowed in all
         self._rests_until_ns = 0  # real time: does not emit before, however late
         # real time: samples after the first torque whose own had not come when the next was due; None: before
         self._without_torque: int | None = None
@@ -107,7 +109,8 @@ class PlantNode(GraphNode):
     def due_ns(self) -> int:
         """When `tick` is due, by the monotonic clock [ns]; in lock-step and while it rests, never.
 
-        A flight that is late catches up at twice its rate: others have to keep up with it.
+        A flight that is late catches up at twice its rate: others have to keep up with it. What is more than
+        `GIVEN_UP_NS` is given up: the flight is slower than the clock.
         """
         return NEVER_NS if self.lockstep or not self.active else max(self.flight.due_ns, self._rests_until_ns)
 
@@ -124,7 +127,11 @@ class PlantNode(GraphNode):
 
     def tick(self) -> None:
         """Real time: emit the next sample; zero torque has acted if none has come for too long."""
-        self._rests_until_ns = time.monotonic_ns() + self.flight.period_ns // 2
+        now_ns = time.monotonic_ns()
+        self._rests_until_ns = now_ns + self.flight.period_ns // 2
+        if (late_ns := now_ns - self.flight.due_ns - GIVEN_UP_NS) > 0:
+            self.flight.postpone(late_ns)
+            self._slowed_ns += late_ns
         if self._without_torque is not None:
             self._without_torque += self.unanswered
         self.flight.wait()
@@ -148,6 +155,7 @@ class PlantNode(GraphNode):
         if not self.lockstep and flight.due_ns < NEVER_NS:
             behind = max(0.0, seconds(time.monotonic_ns() - flight.due_ns))
             values |= {"behind_s": f"{behind:.3f}", "without_torque": self._without_torque or 0}
+            values |= {"slowed_s": f"{seconds(self._slowed_ns):.3f}"}
             if behind > LATE:
                 level, words = WARN, "flying, behind the wall clock"
         self.diagnostics.report("flight", level, words, **values)

@@ -154,6 +154,10 @@ class PlantFlight:
         flies = self.emitted and not self.finished
         return self._begin_ns + self.emitted * self.period_ns if flies else NEVER_NS
 
+    def postpone(self, by_ns: int) -> None:
+        """Have all that is left of the flight come later [ns]."""
+        self._begin_ns += by_ns
+
     @property
     def torque_lost(self) -> bool:
         """Whether no command has come for too long."""

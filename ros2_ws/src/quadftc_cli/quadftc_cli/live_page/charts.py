@@ -17,7 +17,9 @@ ROTORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#00
 # first columns of three, by what is in them: those of `Picture._row`
 REFERENCE_AT, TRUTH_AT, MEASURED_AT, CORRECTED_AT = 1, 4, 7, 10
 RATE_AT, GYRO_AT, CORRECTED_RATE_AT = 13, 16, 19
-INJECTED_AT, ESTIMATE_AT, LOW_AT, BAND_AT, TORQUE_AT, ROTORS_AT = 22, 25, 28, 31, 34, 37
+INJECTED_AT, ESTIMATE_AT, LOW_AT, BAND_AT, TORQUE_AT = 22, 25, 28, 31, 34
+PLACE_REFERENCE_AT, PLACE_AT, ROTORS_AT = 37, 40, 43  # where the plant has a position
+TOP_VIEW = "top view: x right, y up"
 
 
 class StripCharts(ui.element, component="charts.js"):
@@ -31,6 +33,7 @@ class StripCharts(ui.element, component="charts.js"):
             charts = [_chart(*each) for each in _plan(picture)]
         self._props["charts"] = [{"id": chart.id, "columns": columns} for chart, columns in charts]
         self._props["window"] = WINDOW
+        self._props["map"] = charts[-1][0].id if picture.rotors else None
 
     def push(self) -> None:
         """Send the rows that have come since the last time."""
@@ -64,7 +67,7 @@ def _plan(picture: Picture) -> list[tuple[str, str, list[tuple[str, str, int, bo
             {},
         ),
         (
-            "fault of the attitude sensor",
+            "attitude fault",
             "deg",
             [
                 ("low", "transparent", LOW_AT, True),
@@ -88,6 +91,10 @@ def _plan(picture: Picture) -> list[tuple[str, str, list[tuple[str, str, int, bo
     if picture.rotors:
         lines = [(f"{k + 1}", ROTORS[k % len(ROTORS)], ROTORS_AT + k, False) for k in range(picture.rotors)]
         plan.append(("rotor effectiveness", "%", lines, {"min": 0, "max": 110}))
+        place = [("reference", REFERENCE, PLACE_REFERENCE_AT), ("vehicle", TRUTH, PLACE_AT)]
+        plan.append(("position", "m", [(*line, True) for line in place], {}))
+        # last, as `charts.js` draws it against another axis
+        plan.append((TOP_VIEW, "m", [(*line, False) for line in place], {}))
     else:
         plan.append(("torque command", "N m", [("torque", CORRECTED, TORQUE_AT, True)], {}))
     return plan
@@ -154,5 +161,11 @@ def _chart(title: str, unit: str, lines: list[tuple[str, str, int, bool]], y_axi
         },
         "series": series,
     }
+    if title == TOP_VIEW:
+        options["xAxis"] = {**options["yAxis"]}
+        series[1]["markPoint"] = {"symbol": "circle", "symbolSize": 9, "data": []}
+    # a narrow chart has its legend below the title
+    narrow = {"legend": {"left": 4, "top": 22, "right": None}, "grid": {"top": 48}}
+    options = {"baseOption": options, "media": [{"query": {"maxWidth": 420}, "option": narrow}]}
     element = ui.echart(options).classes("chart").props(f'data-chart="{title}"')
     return element, [[column, by_axis] for _, _, column, by_axis in lines]

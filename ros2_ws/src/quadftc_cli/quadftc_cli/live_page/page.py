@@ -25,6 +25,7 @@ from quadftc_ros.wire import pose_of
 
 FRAME_PERIOD = 1.0 / 30.0  # s
 TEXT_PERIOD = 0.2  # s; between two looks at states and numbers
+SLOW = 0.95  # of real time; a flight below it says so
 STYLE = Path(__file__).with_name("page.css")
 SENSOR_FAULTS = (  # label, axis that the charts show then, fault
     ("roll reads +8°", 0, "bias axis=roll value=8deg"),
@@ -74,7 +75,7 @@ def add_page(app: FastAPI, picture: Picture, commander: Commander, flown: Flown)
         ui.add_css(STYLE)
         _Page(picture, commander, flown)
 
-    ui.run_with(app, title="quadftc live", dark=False, tailwind=False, show_welcome_message=False)
+    ui.run_with(app, title="quadftc live", dark=None, tailwind=False, show_welcome_message=False)
 
 
 class _Page:
@@ -107,7 +108,7 @@ class _Page:
             ui.label(self._flown.title).classes("title")
             ui.label(self._flown.parts).classes("parts")
             ui.element("div").classes("space")
-            of_plant = ("lost", "behind") if self._flown.simulated else ()
+            of_plant = ("lost", "speed") if self._flown.simulated else ()
             for name in ("time", "rate", *of_plant, "mode"):
                 self._shown[name] = ui.label().classes("number").props(f'data-show="{name}"')
 
@@ -136,22 +137,23 @@ class _Page:
 
     def _faults(self) -> None:
         presets = SENSOR_FAULTS + (ROTOR_FAULTS if self._picture.rotors else ())
-        plain = "unelevated no-caps dense color=grey-3 text-color=grey-10"
         with ui.element("section"):
             ui.label("Inject a fault").classes("heading-2")
             with ui.element("div").classes("buttons"):
                 for label, axis, fault in presets:
                     button = ui.button(label, on_click=partial(self._inject, fault, axis))
-                    button.props(f'{plain} data-fault="{fault}"').tooltip(fault)
+                    button.props(f'unelevated no-caps dense data-fault="{fault}"')
             with ui.element("div").classes("own"):
                 own = ui.input(value="noise axis=roll sigma=1deg", placeholder="as quadftc inject takes it")
-                own.props("dense outlined").on("keydown.enter", lambda: self._inject(own.value or ""))
+                own.props('dense outlined aria-label="fault to inject"').on(
+                    "keydown.enter", lambda: self._inject(own.value or "")
+                )
                 button = ui.button("Inject", on_click=lambda: self._inject(own.value or ""))
-                button.props("unelevated no-caps color=grey-9")
+                button.props("unelevated no-caps color=grey-8")
             with ui.element("div").classes("injected"):
                 self._shown["injected"] = ui.element("div").classes("chips")
                 clear = ui.button("Clear all", on_click=lambda: self._attempt(self._commander.clear()))
-                clear.props('outline no-caps dense color=grey-9 data-clear="all"')
+                clear.props('outline no-caps dense color=grey-7 data-clear="all"')
             self._listed: list[Any] | None = None
 
     def _setpoints(self) -> None:
@@ -173,7 +175,8 @@ class _Page:
                     ui.label(name)
                     slider = ui.slider(min=low, max=high, step=step, value=values[name] / scale)
                     shown = ui.label(f"{slider.value:g} {unit}").classes("number")
-                    slider.props(f'dense color=grey-9 data-setpoint="{name}"')
+                    slider.props(f'dense color=grey-7 data-setpoint="{name}"')
+                    slider.props(f'aria-label="{target} setpoint: {name} [{unit}]"')
                     slider.on("update:model-value", partial(take, name, unit, scale, shown), throttle=0.1)
 
     def _axis_choice(self) -> None:
@@ -182,9 +185,9 @@ class _Page:
 
         with ui.element("div").classes("axis"):
             ui.label("Charts of")
-            names = {axis: f"{axis} ({letter})" for axis, letter in zip(AXES, "xyz", strict=True)}
+            names = {axis: f"{axis}, {letter}" for axis, letter in zip(AXES, "xyz", strict=True)}
             self._axis = ui.toggle(names, value=AXES[0], on_change=choose).props(
-                "dense no-caps unelevated toggle-color=grey-9"
+                "dense no-caps unelevated toggle-color=grey-8"
             )
 
     def _inject(self, fault: str, axis: int | None = None) -> None:
@@ -220,17 +223,27 @@ class _Page:
                 if state.name in ("faulty", "ambiguous", "recovering") and " since " in state.words:
                     findings.append(f"{component} {element}: {state.words}")
         self._set("findings", "\n".join(findings) or "no fault found")
-        shown = [f"{name}: {words}" for _, name, words in picture.warnings() if "fault" not in name]
-        self._set("warnings", "\n".join(shown[:3]))
+        said: dict[str, list[str]] = {}  # by words, who says so
+        for _, name, words in picture.warnings():
+            if "fault" not in name:
+                said.setdefault(words, []).append(name.partition(":")[0])
+        self._set("warnings", "\n".join(f"{', '.join(names)}: {words}" for words, names in said.items()))
         self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
         rates = (picture.value(node, "timing", "rate_hz") for node in ("controller", "fault_observer"))
         self._set("rate", f"{next(filter(None, rates), '-')} Hz")
         self._set("mode", f"controller: {picture.mode()}")
         self._show_angles()
         if self._flown.simulated:
-            self._set("lost", f"{picture.value('plant', 'flight', 'without_torque') or '0'} without torque")
-            behind = picture.value("plant", "flight", "behind_s")
-            self._set("behind", f"{1e3 * float(behind or 0.0):.0f} ms behind")
+            lost = picture.value("plant", "flight", "without_torque") or "0"
+            self._set("lost", "" if lost == "0" else f"{lost} without torque")
+            slow = not picture.over and picture.speed < SLOW
+            words = (
+                f"slowed to {picture.speed:.2f} x real time: this machine is too slow"
+                if slow
+                else "real time"
+            )
+            self._set("speed", words)
+            self._shown["speed"].classes(add="slow" if slow else "", remove="" if slow else "slow")
             self._list_injected()
 
     def _show_angles(self) -> None:

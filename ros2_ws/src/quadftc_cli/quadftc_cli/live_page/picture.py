@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -21,10 +22,11 @@ from quadftc_msgs.msg import ControlStatus, Diagnosis, FaultStatus, RotorStatus
 from quadftc_ros.latest import SOURCES, Latest
 from quadftc_ros.rotor_wire import RotorConditionReader
 from quadftc_ros.topics import PlantKind
-from quadftc_ros.wire import imu_of, reference_in, vector_of
+from quadftc_ros.wire import imu_of, pose_of, reference_in, vector_of
 
 CHART_PERIOD_NS = NANOSECONDS // 15  # ns, between two rows
 ROWS = 450  # 30 s
+SPAN = 45  # rows, 3 s; over which the speed of the flight is measured
 LEVELS = ("ok", "warning", "error", "stale")
 MODES = ("full", "no diagnosis", "no disturbance estimate", "hold", "off")
 NOTHING = np.full(3, np.nan)
@@ -55,6 +57,7 @@ class Picture:
         self._statuses: dict[str, Any] = {}
         self._begin_ns = 0
         self._next_ns = 0
+        self._clocks: deque[tuple[float, float]] = deque(maxlen=SPAN)  # s; of the machine, of the flight
 
     def take(self, frame: Frame) -> None:
         """Take a frame."""
@@ -69,11 +72,20 @@ class Picture:
             self._next_ns = stamp_ns + CHART_PERIOD_NS
             self.rows.append(self._row())
             self.count += 1
+            self._clocks.append((time.monotonic(), self.time))
 
     @property
     def time(self) -> float:
         """Time since the first sample that was shown [s]."""
         return (self.latest.stamp_ns() - self._begin_ns) / NANOSECONDS
+
+    @property
+    def speed(self) -> float:
+        """How fast the flight runs, over real time, in the last seconds; 1 until that is known."""
+        if len(self._clocks) < SPAN:
+            return 1.0
+        (begin, first), (end, last) = self._clocks[0], self._clocks[-1]
+        return (last - first) / (end - begin)
 
     def _row(self) -> list[float]:
         """Return the numbers of the charts at a moment, in the order of `COLUMNS`; NaN: unknown."""
@@ -93,9 +105,17 @@ class Picture:
             np.degrees(_or_nothing(latest.read("fault/injected", vector_of))),
             *(np.degrees(estimate), np.degrees(estimate - 2.0 * sigma), np.degrees(4.0 * sigma)),
             _or_nothing(latest.read("torque/command", vector_of)),
+            *self._places(),
             *self._effectiveness(),
         ]
         return [float(value) for value in np.concatenate(columns)]
+
+    def _places(self) -> list[Any]:
+        """Return where the vehicle shall be, and where it is [m]."""
+        if not self.latest.flies:
+            return []
+        pose = self.latest.read("position/reference", pose_of)
+        return [NOTHING if pose is None else pose[0], self.latest.position()]
 
     def _effectiveness(self) -> list[list[float]]:
         """Return the estimated and the true effectiveness of each rotor [%]."""

@@ -18,7 +18,7 @@ GHOSTS = {"measured": MEASURED, "corrected": CORRECTED}
 GHOST_ALPHA, RING = 0.85, 0.07  # 1; of the rings around the rotors; their width over the radius of a rotor
 THRUST = "#009e73"
 THRUST_LENGTH = 0.9  # 1; of the arrow of a rotor that carries its share of the weight, over the span
-GROUND, GRID = "#f7f8fa", "#dde1e7"  # colours
+GROUND, GRID = "#f7f8fa", "#c3c9d2"  # colours
 GRID_HALF, GRID_STEP = 10, 0.5  # lines either side of the origin; m
 TARGET = "#cc79a7"
 STEP = 1e-3  # m; the camera follows no less
@@ -29,9 +29,9 @@ UPRIGHT = 0.5 * math.pi  # turns y, the axis of a cylinder, to z
 class _Camera(ui.element, component="follow.js"):
     """Has the camera of a scene follow the vehicle."""
 
-    def __init__(self, scene: int, start: tuple[float, ...]) -> None:
+    def __init__(self, scene: int, start: tuple[float, ...], slack: float) -> None:
         super().__init__()
-        self._props["scene"], self._props["start"] = scene, start
+        self._props["scene"], self._props["start"], self._props["slack"] = scene, start, slack
         self._place = np.array(start)
 
     def follow(self, place: list[float]) -> None:
@@ -75,7 +75,7 @@ class VehicleScene:
         self.element.move_camera(
             *(x - 0.62 * far, y - 0.68 * far, z + 0.42 * far, x, y, z + 0.12 * self._span), duration=0
         )
-        self._camera = _Camera(self.element.id, (x, y, z))
+        self._camera = _Camera(self.element.id, (x, y, z), 0.9 * self._span)
 
     def show(self, reference: Any) -> None:
         """Put everything where it is now; ``reference`` is the position to be at, None: there is none."""
