@@ -63,20 +63,18 @@ def map_rows(flights: Flights) -> list[Row]:
     """Return, with a heading, how many flights of each fault were lost, by the size of the fault."""
     rows: list[Row] = [("fault", "size", "lost")]
     for name, group in _by_fault(flights).items():
-        sized = [
-            (abs(flight["faults"][0]["size"] or 0.0), not flight["survived"])
-            for flight in group
-            if flight["faults"]
-        ]
-        if not sized:
+        known = [each for each in group if each["faults"] and each["faults"][0]["size"] is not None]
+        if not known:
+            rows.append((name, "-", f"{sum(not each['survived'] for each in group)} of {len(group)}"))
             continue
-        sizes, lost = np.array([size for size, _ in sized]), np.array([gone for _, gone in sized])
-        count = BINS if len(sized) >= FEWEST else 1
+        sizes = np.array([abs(each["faults"][0]["size"]) for each in known])
+        lost = np.array([not each["survived"] for each in known])
+        count = BINS if len(known) >= FEWEST else 1
         edges = np.quantile(sizes, np.linspace(0.0, 1.0, count + 1))
         bins = np.clip(np.searchsorted(edges, sizes, side="right") - 1, 0, count - 1)
         for number, (low, high) in enumerate(itertools.pairwise(edges.tolist())):
             if here := int(np.sum(bins == number)):
-                span = f"{low:.2g}" if low == high else f"{low:.2g} to {high:.2g}"
+                span = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
                 rows.append((name, span, f"{int(lost[bins == number].sum())} of {here}"))
     return rows
 

@@ -314,6 +314,7 @@ def test_confusion_has_what_was_said_first_of_each_faulty_component():
 
 def test_map_counts_lost_flights_by_size():
     flights = [flight(f"a-{size}", size < 6, 0.5, size=-size) for size in range(1, 9)]
-    rows = map_rows(flights)[1:]
+    rows = map_rows([*flights, flight("stuck-1", False, 0.5, size=None)])[1:]
+    assert rows.pop() == ("stuck", "-", "1 of 1")
     assert [row[2] for row in rows] == ["0 of 2", "0 of 2", "1 of 2", "2 of 2"]
-    assert rows[0][1] == "1 to 2.8"
+    assert rows[0][1] == "1 to 2.75"
