@@ -28,7 +28,7 @@ FOLLOWS = {
     "accelerometer": ("accelerometer", "attitude", "magnetometer", "gps"),
     "attitude": ("attitude", "magnetometer", "gps"),
     "magnetometer": ("magnetometer", "attitude", "gps"),
-    "barometer": ("barometer",),
+    "barometer": ("barometer", "rotor"),  # a vehicle that is flown into the ground rests on it
     "vibration": ("gyro", "accelerometer"),
     "gps": ("gps", "gyro", "accelerometer", "attitude", "barometer"),
 }

@@ -164,6 +164,9 @@ def _findings(
     added, sigma = float(field.currents[strongest]), float(field.sigma[strongest])
     if abs(added) > max(STRONG * field.size, 8.0 * sigma):
         start = flight.intervals[0].start
+        all_do = len(fields) > 1 and all(
+            abs(each.currents[strongest]) > SAME * abs(added) for each in fields.values()
+        )
         said = (
             f"it follows the level of the rotors: their usual range adds {show(added, unit)}"
             f" to a field of {show(field.size, unit)}",
@@ -173,7 +176,8 @@ def _findings(
             size=added,
             sigma=sigma,
             unit=unit,
-            probability=confidence(abs(added), STRONG * field.size),
+            probability=confidence(abs(added), STRONG * field.size) * (0.6 if all_do else 1.0),
+            ambiguous_with=("attitude",) if all_do else (),
             evidence=said,
         )
         yield Found(finding, _curve(field, name, unit, start, None), True)
