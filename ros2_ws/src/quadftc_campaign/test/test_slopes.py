@@ -68,7 +68,7 @@ def check_slopes(
         for way, size in steps
         for sign in (-1, 1)
     ]
-    flown = fly_all(moved)
+    flown = [*fly_all(moved)]
     for place, (_, size) in enumerate(steps):
         before, after = flown[2 * place].sums, flown[2 * place + 1].sums
         for kind in kinds:
