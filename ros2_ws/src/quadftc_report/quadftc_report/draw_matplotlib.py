@@ -63,7 +63,8 @@ def draw(figure: Figure) -> Canvas:
         ax.set_ylabel(panel.axis_label("\n"))
         for label, handle in _panel(ax, panel):
             entries.setdefault(label, handle)
-    axes[0].set_xlim(*figure.span)
+    if not figure.is_map:  # which has one scale for both axes, and a span that follows from it
+        axes[0].set_xlim(*figure.span)
     axes[-1].set_xlabel(figure.x_label)
     if figure.is_map:
         axes[0].set_aspect("equal", adjustable="datalim")

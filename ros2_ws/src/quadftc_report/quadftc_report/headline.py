@@ -56,9 +56,12 @@ def headline(comparison: Comparison[Any]) -> Headline:
     if plain is not None:
         bare = "the vehicle is lost" if metric(plain, "lost") else _degrees(_error(plain))
         parts.append(f"without diagnosis {bare}")
-    checks = [check for run in comparison.runs if run.is_whole for check in run.summary.get("checks") or ()]
-    if failed := sum(not check["passed"] for check in checks):
-        parts.append(f"{failed} of {counted(len(checks), 'check')} FAILED")
+    failed = 0
+    for run in comparison.runs:
+        checks = run.summary.get("checks") or () if run.is_whole else ()
+        if failing := sum(not check["passed"] for check in checks):
+            parts.append(f"{comparison.label(run)}: {failing} of {counted(len(checks), 'check')} FAILED")
+        failed += failing
     errors = [_error(run) for run in (best, plain) if run is not None]
     contrast = errors[1] / errors[0] if len(errors) == 2 and 0.0 < errors[0] < math.inf else 0.0
     shown = dataclasses.replace(comparison, runs=(best,) if plain is None else (best, plain))
@@ -95,7 +98,7 @@ def _found(run: Recorded) -> str:
     elif count := diagnosis.get("fault_count"):
         settled = [each for each in axis_metric(run, "fault_estimate_max_settled_deg").values() if each]
         error = f"within {_degrees(max(settled))}" if settled else "not at all"
-        said.append(f"declares no fault, estimates {counted(count, 'fault')} {error}")
+        said.append(f"estimates {counted(count, 'fault')} {error} (declares none)")
     if count := rotors.get("rotor_faults"):
         said.append(_hits("names", "weak rotor", count, rotors["unnamed"], rotors["naming_delay_median_s"]))
     if alarms := diagnosis.get("total_false_alarms"):

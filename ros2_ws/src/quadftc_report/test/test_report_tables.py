@@ -271,7 +271,7 @@ def test_verdict_is_on_the_best_run_beside_the_one_without_diagnosis(three, runs
     assert (
         f"holds the attitude within {short(error)} deg; without diagnosis {short(bare)} deg" in found.sentence
     )
-    assert found.sentence.endswith("; 1 of 4 checks FAILED.")
+    assert found.sentence.endswith("; plain: 1 of 1 check FAILED.")
     assert (found.is_good, found.contrast) == (False, pytest.approx(bare / error))
     assert [run.scheme.name for run in found.shown.runs] == ["my-fast_one", "plain"]
     alone = headline(Comparison((runs["pid"],), "one"))
