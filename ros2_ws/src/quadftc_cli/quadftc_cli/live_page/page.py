@@ -141,7 +141,7 @@ class _Page:
             ui.label("Inject a fault").classes("heading-2")
             with ui.element("div").classes("buttons"):
                 for label, axis, fault in presets:
-                    button = ui.button(label, on_click=partial(self._inject, fault, axis))
+                    button = ui.button(label, color=None, on_click=partial(self._inject, fault, axis))
                     button.props(f'unelevated no-caps dense data-fault="{fault}"')
             with ui.element("div").classes("own"):
                 own = ui.input(value="noise axis=roll sigma=1deg", placeholder="as quadftc inject takes it")
@@ -152,8 +152,10 @@ class _Page:
                 button.props("unelevated no-caps color=grey-8")
             with ui.element("div").classes("injected"):
                 self._shown["injected"] = ui.element("div").classes("chips")
-                clear = ui.button("Clear all", on_click=lambda: self._attempt(self._commander.clear()))
-                clear.props('outline no-caps dense color=grey-7 data-clear="all"')
+                clear = ui.button(
+                    "Clear all", color=None, on_click=lambda: self._attempt(self._commander.clear())
+                )
+                clear.props('outline no-caps dense data-clear="all"')
             self._listed: list[Any] | None = None
 
     def _setpoints(self) -> None:
@@ -274,7 +276,9 @@ class _Page:
         self._shown["injected"].clear()
         with self._shown["injected"]:
             for each in listed:
-                chip = ui.chip(each.words, removable=True, color="orange-2").props("dense square")
+                chip = ui.chip(each.words, removable=True, color="orange-2").props(
+                    "dense square text-color=grey-10"
+                )
                 chip.on_value_change(
                     lambda _, number=each.number: self._attempt(self._commander.clear(number))
                 )
