@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_replay.inspection.accelerometer import LIMITS as FORCE_LIMITS
 from quadftc_replay.inspection.accelerometer import accelerometer_findings
 from quadftc_replay.inspection.agreement import Agreement, compare
 from quadftc_replay.inspection.attitude import attitude_findings, disagreements
@@ -31,7 +32,7 @@ from quadftc_replay.inspection.witnesses import is_tilt, pair_findings, path_fin
 from quadftc_replay.inspection.wording import make_verdict
 
 Progress = Callable[[float], None]
-SENSORS = {"gyro": ("rad/s", RATE_LIMITS.floor), "accelerometer": ("m/s^2", 0.05)}  # noise that any has
+SENSORS = {"gyro": ("rad/s", RATE_LIMITS.floor), "accelerometer": ("m/s^2", FORCE_LIMITS.floor)}
 FEWEST = 200  # samples of a sensor
 PATH_SEES = 1.5  # s; by which the path, over a window, may date what a pair shows too early
 QUATERNION = ("",)  # the elements of an attitude are judged together

@@ -36,7 +36,7 @@ SAMPLES = 8  # of it, at least
 CALM = 0.3  # 1; quantile of the noise in flight that is the usual one
 NOISY = 6.0  # times the usual noise
 NOISE_LASTS = 0.5  # s
-HANDLED = 3.0  # times as much and as long, where nobody knows what moves the vehicle
+HANDLED = 3.0  # times as much and as long, where nobody knows what moves the vehicle, or vibration is aliased
 OTHERS = 2.0  # times: what other axes may rise by meanwhile
 AROUND = 1.0  # s; drawn before and after a finding
 
@@ -181,22 +181,23 @@ def noise_findings(
     ``least`` is what every such sensor may have. ``alone``: motion is still in the signal, so that the other
     axes have to stay calm. Below `SLOWEST` the noise has to be white, as no motion is.
     """
-    level, lasts = (NOISY, NOISE_LASTS) if flight.phases_known else (HANDLED * NOISY, HANDLED * NOISE_LASTS)
+    is_slow = sensor.rate < SLOWEST
+    times = 1.0 if flight.phases_known and not (alone and is_slow) else HANDLED
+    level, lasts = times * NOISY, times * NOISE_LASTS
     flying = flight.in_flight(sensor.time) & ~flight.near_impact(sensor.time)
     if flying.sum() < FEWEST:
         return
     noise = moving_noise(sensor)
-    white = (
-        WHITE * moving_noise(sensor, 1) < noise if sensor.rate < SLOWEST else np.ones_like(noise, np.bool_)
-    )
+    white = noise / np.maximum(moving_noise(sensor, 1), 1e-12) if is_slow else np.ones_like(noise)
     floor = np.maximum(np.quantile(noise[flying], CALM if flight.phases_known else 0.5, axis=0), least)
     ratio = noise / floor
     for axis, name in enumerate(names):
-        loud = flying & white[:, axis] & (ratio[:, axis] > level)
+        loud = flying & (ratio[:, axis] > level)
         if alone:
             loud &= ratio[:, axis] > OTHERS * np.delete(ratio, axis, axis=1).max(axis=1)
         shortest = max(lasts, SAMPLES / sensor.rate)
         runs = [run for run in runs_of(loud) if sensor.time[run.stop - 1] - sensor.time[run.start] > shortest]
+        runs = [run for run in runs if np.median(white[run, axis]) > WHITE]
         if not runs:
             continue
         start, end = float(sensor.time[runs[0].start]), float(sensor.time[runs[-1].stop - 1])
@@ -210,7 +211,7 @@ def noise_findings(
             size=size,
             sigma=None,
             unit=unit,
-            probability=confidence(factor, NOISY),
+            probability=confidence(factor, level),
             evidence=(said + ", while the other axes stay calm" if alone else said,),
         )
         span = (start - AROUND, end + AROUND)
