@@ -41,7 +41,9 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
         risen = float(np.median(value[run]))
         if end - start < LASTS or (usual < HARMFUL and risen < 0.5 * RISEN * usual):
             continue  # what wanders about the harmful level all along has not risen
-        lower = np.flatnonzero(value[: run.start] < usual + 0.25 * (risen - usual))
+        lower = np.flatnonzero(watched[: run.start] & (value[: run.start] < usual + 0.25 * (risen - usual)))
+        if not len(lower) and usual < HARMFUL:
+            continue  # it has not risen in this flight
         onset = float(time[lower[-1] + 1]) if len(lower) else start
         grown = np.median(axes[run], axis=0) > RISEN * np.median(axes[watched & (value <= limit)], axis=0)
         element = ",".join(BODY_AXES[k] for k in np.flatnonzero(grown)) if axes.shape[1] > 1 else ""
