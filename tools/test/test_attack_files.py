@@ -5,6 +5,7 @@ With `--examples 4000` each kind is tried 500 times.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 
@@ -37,16 +38,18 @@ def sandbox(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_bad_input_is_answered_in_a_line_and_an_exit_code(name, seeds, sandbox):
-    target = TARGETS[name]
+def test_bad_input_is_answered_in_a_line_and_an_exit_code(name, seeds, sandbox, record_property):
+    target, tried = TARGETS[name], itertools.count()
 
     @settings(max_examples=EXAMPLES)
     @given(target.cases(seeds))
     def answered(case):
         outcome = try_case(case, target.program, sandbox)
         assert not outcome.wrong, (outcome.wrong, case.arguments, list(case.files))
+        next(tried)
 
     answered()
+    record_property("trials", next(tried))
 
 
 def test_command_lines_have_options_that_the_commands_declare(seeds):

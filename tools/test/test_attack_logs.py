@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import struct
 import tracemalloc
@@ -21,7 +22,7 @@ from quadftc_bags.bag import BagError
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.readers import LogChoice, read_log
-from quadftc_tools.attack.command import BEGIN, END
+from quadftc_tools.attack.command import BEGIN, END, count_tests
 from quadftc_tools.attack.flight_table import TEXTS, hover, spoiled, spoils
 from quadftc_tools.attack.logs import MAPPING, WRITERS, blackbox
 from quadftc_tools.attack.table import ATTACKS, LONG
@@ -73,16 +74,18 @@ def judge(path: Path, choice: LogChoice) -> None:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_fields_that_no_sensor_gives_are_refused_or_judged(name, tmp_path):
-    path, choice = tmp_path / "log", choice_for(name, tmp_path)
+def test_fields_that_no_sensor_gives_are_refused_or_judged(name, tmp_path, record_property):
+    path, choice, tried = tmp_path / "log", choice_for(name, tmp_path), itertools.count()
 
     @settings(max_examples=EXAMPLES)
     @given(spoils())
     def survives(spoils):
         path.write_bytes(WRITERS[name](spoiled(spoils)))
         judge(path, choice)
+        next(tried)
 
     survives()
+    record_property("trials", next(tried))
 
 
 @pytest.mark.parametrize("name", MARKED)
@@ -100,12 +103,19 @@ def test_bag_without_its_index_is_not_whole(tmp_path):
     assert read_log(path).incomplete
 
 
-@settings(max_examples=EXAMPLES)
-@given(st.dictionaries(st.sampled_from(HEADER), st.sampled_from(TEXTS) | st.text(max_size=20), max_size=3))
-def test_header_of_a_blackbox_may_hold_anything(tmp_path_factory, lines):
-    path = tmp_path_factory.getbasetemp() / "log"
-    path.write_bytes(blackbox(hover(), {name: " ".join(text.split("\n")) for name, text in lines.items()}))
-    judge(path, LogChoice())
+def test_header_of_a_blackbox_may_hold_anything(tmp_path, record_property):
+    path, texts, tried = tmp_path / "log", st.sampled_from(TEXTS) | st.text(max_size=20), itertools.count()
+
+    @settings(max_examples=EXAMPLES)
+    @given(st.dictionaries(st.sampled_from(HEADER), texts, max_size=3))
+    def survives(lines):
+        header = {name: " ".join(text.split("\n")) for name, text in lines.items()}
+        path.write_bytes(blackbox(hover(), header))
+        judge(path, LogChoice())
+        next(tried)
+
+    survives()
+    record_property("trials", next(tried))
 
 
 def packed_chunk(how: str, unpacked: int, stated: int) -> bytes:
@@ -171,6 +181,14 @@ def test_type_that_holds_itself_or_too_much_is_refused_in_a_line(name, tmp_path)
     path.write_bytes(out.getvalue())
     with pytest.raises(BagError, match="log without a usable signal"):
         read_log(path)
+
+
+def test_trials_of_a_test_are_counted_where_it_held(tmp_path):
+    report = tmp_path / "report.xml"
+    inside = ("", '<properties><property name="trials" value="7"/></properties>', "<failure/>", "<skipped/>")
+    cases = "".join(f"<testcase>{each}</testcase>" for each in inside)
+    report.write_text(f"<testsuites>{cases}</testsuites>")
+    assert count_tests(report) == (8, 1)
 
 
 def test_documented_attacks_are_those_of_the_command():

@@ -86,8 +86,9 @@ def descendants(process: subprocess.Popen) -> list[psutil.Process]:
 
 
 @pytest.mark.parametrize("name", sampled(COMMANDS, every=5))
-def test_command_interrupted_twice_ends_and_leaves_nothing(name, work):
+def test_command_interrupted_twice_ends_and_leaves_nothing(name, work, record_property):
     chance = random.Random(name)
+    record_property("trials", TRIALS)
     for _ in range(TRIALS):
         for old in ("out", "served", "tuned.yaml"):
             path = work / old
@@ -122,7 +123,8 @@ FLOWN = ["campaign", "c.yaml", "--workers", "2", "--out"]
 
 
 @pytest.mark.thorough
-def test_worker_that_is_killed_costs_no_flight(work):
+def test_worker_that_is_killed_costs_no_flight(work, record_property):
+    record_property("trials", TRIALS)
     assert finish(work, [*FLOWN, "whole"])[0] in (GOOD, CHECK_FAILED)
     expected = (work / "whole" / "flights.parquet").read_bytes()
     killed = 0

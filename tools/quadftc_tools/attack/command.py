@@ -56,7 +56,8 @@ def run(attack: Attack, quick: bool) -> Result:
         report = Path(folder, "report.xml")
         command = [sys.executable, "-m", *attack.command]
         if attack.is_tests:
-            command += ["--junitxml", str(report), "-q", "-p", "no:cacheprovider", "--thorough"]
+            command += ["--junitxml", str(report), "-o", "junit_family=xunit1"]  # which has properties
+            command += ["-q", "-p", "no:cacheprovider", "--thorough"]
             command += ["--examples", str(examples)] if examples else []
         try:
             done = subprocess.run(
@@ -72,26 +73,28 @@ def run(attack: Attack, quick: bool) -> Result:
         except subprocess.TimeoutExpired as late:
             code, said = -1, f"not over after {attack.limit:.0f} s\n{late.stdout or ''}"
         passed, failed = count_tests(report) if attack.is_tests else count_trials(said, code)
-    each = max(1, examples // attack.share) if attack.share else 1
     failed += code not in (GOOD, CHECK_FAILED) and not failed  # the process itself ended badly
-    held = passed * each
     return Result(
         attack,
-        held + failed * each,
-        held,
+        passed + failed,
+        passed,
         time.monotonic() - begin,
         "" if code == GOOD and passed else said[-SHOWN:],
     )
 
 
 def count_tests(report: Path) -> tuple[int, int]:
-    """Count the tests of a JUnit report that passed and that failed; skipped ones count as neither."""
+    """Count the trials of a JUnit report that held, and the tests that failed; skipped ones are neither.
+
+    A test that tried more than once says so in its property ``trials``.
+    """
     if not report.exists():
         return 0, 1
     cases = list(ET.parse(report).iter("testcase"))  # written by the process that we started
-    bad = sum(any(each.find(kind) is not None for kind in ("failure", "error")) for each in cases)
-    skipped = sum(each.find("skipped") is not None for each in cases)
-    return len(cases) - bad - skipped, bad
+    bad = [each for each in cases if each.find("failure") is not None or each.find("error") is not None]
+    good = [each for each in cases if each not in bad and each.find("skipped") is None]
+    trials = (each.find("properties/property[@name='trials']") for each in good)
+    return sum(1 if found is None else int(found.attrib["value"]) for found in trials), len(bad)
 
 
 def count_trials(said: str, code: int) -> tuple[int, int]:

@@ -9,13 +9,12 @@ MACHINE, MISHAP = "another machine", "a mishap"
 
 
 class Attack(NamedTuple):
-    """One row: the arguments of Python behind ``-m``, and how often a test tries."""
+    """One row: the arguments of Python behind ``-m``, and for how many examples a test is asked."""
 
     who: str
     what: str
     command: tuple[str, ...]
-    examples: int = 0  # what Hypothesis draws; a test takes one in `share` of them
-    share: int = 0
+    examples: int = 0  # of which a test takes its share
     limit: float = 900.0  # s
 
     @property
@@ -45,13 +44,13 @@ FILES = "scenarios, campaigns, gains, vehicles, parameters, bags, command lines"
 STRANGERS = "no token, wrong ones, forged hosts and origins, uploads, planted links"
 STOPS = "two campaigns in a folder, a read-only disk, a clock set back by an hour"
 ATTACKS = (
-    Attack(LOG, FIELDS, _tests("logs", "sensor"), 2000, 2, 1800.0),
-    Attack(LOG, HEADER, _tests("logs", "header"), 2000, 2),
+    Attack(LOG, FIELDS, _tests("logs", "sensor"), 4000, 1800.0),
+    Attack(LOG, HEADER, _tests("logs", "header"), 4000),
     Attack(LOG, ENDS, _tests("logs", "end_of or index")),
     Attack(LOG, BOMBS, _tests("logs", "chunk or type")),
     Attack(LOG, LIBRARIES, ("pytest", READERS)),
     Attack(LOG, "script in its strings, seen by Chromium", _tests("pages", "script")),
-    Attack(FILE, FILES, _tests("files", "answered"), 1600, 8, 1500.0),
+    Attack(FILE, FILES, _tests("files", "answered"), 1600, 1500.0),
     Attack(FILE, "links in the folder of results", _tests("pages", "link")),
     Attack(PAGE, STRANGERS, ("pytest", "tests/test_page_access.py")),
     Attack(PAGE, "1200 connections that ask for nothing", _tests("pages", "strangers")),
@@ -59,10 +58,8 @@ ATTACKS = (
     Attack(NODE, "bad parameters, at the start and in flight", ("pytest", "tests/test_bad_parameters.py")),
     Attack(NODE, "a second publisher in flight", _soak("intruders")),
     Attack(MACHINE, "sockets that other machines reach", ("pytest", SOCKETS)),
-    Attack(
-        MISHAP, "Ctrl-C twice at any time of 11 commands", _tests("stops", "interrupted"), 400, 40, 1500.0
-    ),
-    Attack(MISHAP, "a worker of a campaign killed", _tests("stops", "worker"), 200, 40),
+    Attack(MISHAP, "Ctrl-C twice at any time of 11 commands", _tests("stops", "interrupted"), 400, 1500.0),
+    Attack(MISHAP, "a worker of a campaign killed", _tests("stops", "worker"), 200),
     Attack(MISHAP, STOPS, _tests("stops", "second or disk or clock")),
     Attack(MISHAP, "recorder killed", _soak("recorder", "--trials", "12")),
     Attack(MISHAP, "disk full", _soak("disk", "--trials", "6")),
