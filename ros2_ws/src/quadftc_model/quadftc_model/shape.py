@@ -1,6 +1,6 @@
 """What a vehicle looks like, from its file alone: boxes and cylinders in the body frame, and a URDF of them.
 
-In the URDF, propellers take the place of the discs that the rotors sweep (tools/quadftc_tools/meshes.py).
+In the URDF, propellers of radius 1 (``meshes/``) take the place of the discs that the rotors sweep.
 
 The frame is FLU, as that of the vehicle file. Sizes that the file does not have follow from the places of its
 rotors: a picture needs them, a law does not.
