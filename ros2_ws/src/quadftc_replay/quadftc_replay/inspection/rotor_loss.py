@@ -295,10 +295,11 @@ def _stays(grid: Grid, model: Identified, rest: Floats, row: int, rotor: int, sh
     first, last = row, row + round((STAYS[1] - STAYS[0]) / grid.dt)
     if last >= len(rest):
         return True
-    before = rest[max(row - round((BEFORE + STAYS[0]) / grid.dt), 0) : row - round(STAYS[0] / grid.dt)].mean(
-        axis=0
-    )
-    later = rest[first:last].mean(axis=0) - before
+    start, until = row - round((BEFORE + STAYS[0]) / grid.dt), row - round(STAYS[0] / grid.dt)
+    before = rest[max(start, 0) : max(until, 0)]
+    if not (len(before) and last > first):  # too near the start, or bins too wide, to tell a jump from a blow
+        return False
+    later = rest[first:last].mean(axis=0) - before.mean(axis=0)
     drive = lagged(np.nan_to_num(grid.inputs), model.lag, grid.dt)[:, rotor]
     driven = float(drive[first:last].mean())
     if driven < SWITCHED * float(drive[max(row - round(BEFORE / grid.dt), 0) : row].mean()):
