@@ -14,13 +14,11 @@ from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_model.samples import AXES
 from quadftc_tools.study.page import has_detector, publish
 from quadftc_tools.study.robustness import make
-from quadftc_tools.study.robustness_tables import (
+from quadftc_tools.study.robustness_statistics import (
     SIZED,
     SIZES,
     STUDIES,
-    TABLED,
     share_missed,
-    tracking_table,
     typical,
 )
 
@@ -81,27 +79,7 @@ def test_faults_without_a_delay_are_missed():
     assert share_missed(of(frame, "proposed")) == 0.0  # by the size of its estimate
 
 
-def test_tables_have_a_row_for_each_cell_and_grade():
-    study = STUDIES[0]
-    frame = pl.DataFrame(
-        [
-            row
-            for grade in ("mems", "ideal")
-            for value in (1.3, 0.7)
-            for row in table(3, **{study.path: value, "sensors.grade": grade})
-        ]
-    )
-    lines = tracking_table(study, frame).splitlines()
-    assert [line.split(" | ")[0] for line in lines[2:]] == [
-        "| ideal sensors, 0.7",
-        "| ideal sensors, 1.3",
-        "| MEMS IMU, 0.7",
-        "| MEMS IMU, 1.3",
-    ]
-    assert lines[2].endswith("| 0.20 / 0.30 | 0.20 / 0.30 | 0.20 / 0.30 |")
-
-
-def test_document_gets_its_tables_and_figures(tmp_path):
+def test_document_gets_its_figures(tmp_path):
     draw = np.random.default_rng(0)
     frames = {
         study.name: pl.DataFrame([row for value in (1.0, 2.0) for row in table(3, **{study.path: value})])
@@ -114,22 +92,14 @@ def test_document_gets_its_tables_and_figures(tmp_path):
     frames[SIZES] = pl.DataFrame(table(99)).with_columns(
         pl.Series(name, each) for name, each in sizes.items()
     )
-    tables = {
-        f"{study.name}-tracking": tracking_table(study, frames[study.name])
-        for study in STUDIES
-        if study.name in TABLED
-    }
-    marks = [f"<!-- table: {name} -->\n<!-- end -->\n" for name in tables]
-    (tmp_path / "robustness.md").write_text("".join(marks))
+    (tmp_path / "robustness.md").write_text("# Robustness\n")
     files = publish(tmp_path / "robustness.md", *make(frames))
-    text = (tmp_path / "robustness.md").read_text()
-    assert all(made in text for made in tables.values())
     assert len(files) == 2 + len(STUDIES)
     assert all(path.stat().st_size > 0 for path in files)
 
 
 @pytest.mark.parametrize("name", [*(study.name for study in STUDIES), SIZES])
-def test_campaigns_of_the_studies_vary_what_the_tables_show(name):
+def test_campaigns_of_the_studies_vary_what_the_figures_show(name):
     campaign = load_campaign(ROOT / "campaigns" / f"study_{name}.yaml")
     assert campaign.name == f"study_{name}"
     names = [variant.name for variant in campaign.variants]
@@ -155,9 +125,3 @@ def test_new_observer_takes_part_in_every_study(monkeypatch):
         names = [variant.name for variant in campaign.variants]
         assert names == [*campaign.base.data["schemes"], "bank", "newcomer"]
     assert not has_detector("newcomer")
-
-
-def test_document_has_a_place_for_every_table():
-    text = (ROOT / "docs" / "robustness.md").read_text(encoding="utf-8")
-    keys = [f"{name}-tracking" for name in TABLED]
-    assert [key for key in keys if f"<!-- table: {key} -->" not in text] == []

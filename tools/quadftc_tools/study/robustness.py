@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from quadftc_tools.study.page import FLIGHTS, RESULTS, Drawers, Tables, run_study
 from quadftc_tools.study.robustness_figures import draw_sizes, draw_study
-from quadftc_tools.study.robustness_tables import SIZES, STUDIES, TABLED, tracking_table
+from quadftc_tools.study.robustness_statistics import SIZES, STUDIES
 
 
 def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
@@ -30,16 +30,13 @@ def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
 
 
 def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
-    """Return tables and figures of campaigns, whose tables are given by name."""
-    tables: dict[str, str] = {}
+    """Return no tables and the figures of campaigns, whose flights are given by name."""
     drawers: dict[str, Callable[[], Figure]] = {}
     for study in (study for study in STUDIES if study.name in frames):
-        if study.name in TABLED:
-            tables[f"{study.name}-tracking"] = tracking_table(study, frames[study.name])
         drawers[f"robustness_{study.name}"] = functools.partial(draw_study, study, frames[study.name])
     if SIZES in frames:
         drawers[f"robustness_{SIZES}"] = functools.partial(draw_sizes, frames[SIZES])
-    return tables, drawers
+    return {}, drawers
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from quadftc_report.style import GREY
 from quadftc_tools.study.page import canvas, legend, look, no_minor, plain_ticks
-from quadftc_tools.study.robustness_tables import (
+from quadftc_tools.study.robustness_statistics import (
     GRADES,
     SIZED,
     Pair,

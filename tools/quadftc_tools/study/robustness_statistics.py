@@ -1,4 +1,4 @@
-"""The studies of docs/robustness.md: what each varies, and its tables.
+"""The studies of docs/robustness.md: what each varies, and its statistics.
 
 Faults are judged by what an observer declares; those of an observer without a detector by the size of its
 estimate. A fault that was declared before its onset was not found: it counts as missed.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import polars as pl
@@ -16,14 +16,13 @@ import polars as pl
 from quadftc_campaign.table import whole_flights
 from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.samples import AXES
-from quadftc_tools.study.page import NOTHING, has_detector, markdown
+from quadftc_tools.study.page import has_detector
 
 GRADE = "sensors.grade"
 GRADES = {"ideal": "ideal sensors", "mems": "MEMS IMU"}
 LOST = 90.0  # deg; tracking error at which a vehicle is lost
 
 Pair = tuple[float, float]
-Write = Callable[[pl.DataFrame], str]
 
 
 class Shown(NamedTuple):
@@ -61,7 +60,6 @@ STUDIES = (
     Study("gyro", "sensors.gyro_bias", "largest gyro bias [deg/s]", (TRACKING, ESTIMATE)),
     Study("rate", "rate", "rate [Hz]", (TRACKING, ESTIMATE, CHATTER)),
 )
-TABLED = ("motor_lag",)  # the others are drawn alone
 SIZES = "fault_size"  # campaigns/study_fault_size.yaml
 DEGREES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 SIZED = (
@@ -141,38 +139,3 @@ def bins(
     size = pl.col(sized.path).abs()
     for low, high in itertools.pairwise(edges):
         yield low, high, of_kind.filter((low <= size) & (size < high))
-
-
-def tracking_table(study: Study, frame: pl.DataFrame) -> str:
-    """Tracking error in each cell of a study over a grid."""
-    rows = [(_row_name(grade, value), cell) for grade, value, cell in cells(study, frame)]
-    first = " and ".join(filter(None, ["sensors" if GRADE in frame.columns else "", study.title]))
-    return _table(first, rows, lambda cell: _pair(typical(cell, TRACKING.metric)))
-
-
-def _row_name(grade: str, value: float) -> str:
-    return ", ".join(filter(None, [GRADES.get(grade, ""), f"{value:g}"]))
-
-
-def _table(first: str, rows: Sequence[tuple[str, pl.DataFrame]], write: Write) -> str:
-    """One row for each cell, one column for each variant."""
-    names = variants_of(rows[0][1])
-    lines = [
-        [title, *(write(cell.filter(pl.col("variant") == name)) for name in names)] for title, cell in rows
-    ]
-    return markdown([first, *(f"`{name}`" for name in names)], lines)
-
-
-def _pair(pair: Pair | None) -> str:
-    return NOTHING if pair is None else " / ".join(_number(each) for each in pair)
-
-
-def _number(value: float) -> str:
-    """Two digits: more would pretend that so few flights tell them."""
-    if not math.isfinite(value):
-        return "lost"
-    if value == 0.0:
-        return "0"
-    value = float(f"{value:.1e}")
-    digits = max(1 - math.floor(math.log10(abs(value))), 0)
-    return f"{value:.{min(digits, 4)}f}"
