@@ -131,10 +131,6 @@ class Supervised(FaultObserver):
     recovery: float = parameter(0.6, unit="s", low=0.0, doc="how long a faulty axis must look healthy")
     patience: float = parameter(120.0, unit="s", low=1.0, doc="after which a fault that stands still ends")
 
-    @property
-    def _limits(self) -> Limits:
-        return Limits(self.threshold, self.tracking, self.recovery, self.patience)
-
     def init(self, inputs: FaultObserverInputs) -> State:
         """Start on the measurement, with the gyro unknown but for its data sheet."""
         imu = inputs.imu
