@@ -1,18 +1,14 @@
 """Draw the packages and the imports between them, from the code, as a Mermaid diagram in a document.
 
     python -m quadftc_tools.docs.packages docs/architecture.md
-    python -m quadftc_tools.docs.packages       print lines and the depth of imports instead
 
 An arrow that follows from others is left out (transitive reduction). What only nodes import is dotted.
 """
 
 from __future__ import annotations
 
-import graphlib
 import re
-import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import grimp
@@ -81,32 +77,6 @@ def renew(text: str) -> str:
     return MARKS.sub(lambda match: match[1] + draw() + match[2], text)
 
 
-def import_depth() -> int:
-    """Return the longest chain of imports in packages and tools; a circle is a ValueError."""
-    graph = grimp.build_graph(*(f"quadftc_{name}" for name in (*TOPIC, "tools")), cache_dir=None)
-    uses = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
-    depth: dict[str, int] = {}
-    for module in graphlib.TopologicalSorter(uses).static_order():
-        depth[module] = 1 + max((depth[used] for used in uses[module]), default=0)
-    return max(depth.values())
-
-
-def count_lines() -> Counter[str]:
-    """Return the lines of Python without tests, by package."""
-    listed = subprocess.run(["git", "ls-files", "*.py"], capture_output=True, text=True, check=True).stdout
-    lines: Counter[str] = Counter()
-    for path in map(Path, listed.split()):
-        if path.parts[0] in ("ros2_ws", "tools") and "test" not in path.parts:
-            package = path.parts[2] if path.parts[0] == "ros2_ws" else "tools"
-            lines[package] += len(path.read_text(encoding="utf-8").splitlines())
-    return lines
-
-
 if __name__ == "__main__":
-    if len(sys.argv) == 1:
-        counted = count_lines()
-        print(*(f"{package}: {lines} lines" for package, lines in sorted(counted.items())), sep="\n")
-        print(f"total: {counted.total()} lines; depth of imports, without a circle: {import_depth()}")
-        sys.exit()
     document = Path(sys.argv[1])
     document.write_text(renew(document.read_text(encoding="utf-8")), encoding="utf-8")
