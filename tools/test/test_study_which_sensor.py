@@ -57,6 +57,8 @@ def test_other_observers_are_held_against_the_same_flights_without_diagnosis():
     frame = side_by_side(every, other.drop("attitude_error_max_deg_ratio").drop("fault.misnamed_share"))
     assert sorted(frame["variant"]) == ["isolating", "other", "plain"]
     assert frame.filter(variant="other")["attitude_error_max_deg_ratio"].to_list() == [4.0]
+    table = make({"which_sensor": every, "which_sensor_observers": frame})[0]["which-sensor"]
+    assert [cells(table, f"`{name}`")[0] for name in ("isolating", "plain", "other")] == ["3", "3", "1"]
 
 
 def test_confusion_is_a_share_of_the_time_in_which_that_sensor_is_faulty():

@@ -59,18 +59,21 @@ def side_by_side(all_flights: pl.DataFrame, others: pl.DataFrame) -> pl.DataFram
 def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
     """Return the tables of the campaigns, by the names of their places."""
     tables: dict[str, str] = {}
+    flown: dict[str, pl.DataFrame] = {}  # by variant: all flights of those that flew all, some of the others
     for name, frame in frames.items():
         place = name.replace("_", "-")
         variants = frame["variant"].unique(maintain_order=True).to_list()
         parts = {variant: frame.filter(pl.col("variant") == variant) for variant in variants}
         if name in FAULTS:
-            tables[place] = markdown(OVERVIEW, (_overview(*part) for part in parts.items()))
+            flown = parts | flown
         if name == FAULTS[0]:
             judged = frame.filter(pl.col("observer") == JUDGED)
             tables[f"{place}-kinds"] = kinds_table(judged)
             tables[f"{place}-confusion"] = confusion_table(judged)
         elif name == "which_sensor_healthy":
             tables[place] = markdown(HEALTHY, (_healthy(*part) for part in parts.items()))
+    if flown:
+        tables["which-sensor"] = markdown(OVERVIEW, (_overview(*part) for part in flown.items()))
     return tables, {}
 
 
