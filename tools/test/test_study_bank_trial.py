@@ -89,10 +89,12 @@ def test_the_table_has_shares_and_times():
     verdicts = [Verdict(0.1, False, False)] * 7 + [Verdict(0.5, True, False), Verdict(None, False, True)]
     verdicts.append(Verdict(None, True, False))
     judged = [bank_trial.Judged(STEP, "bank", each) for each in verdicts]
+    judged += [bank_trial.Judged(STEP, "isolating", Verdict(None, False, False))]
     judged += [bank_trial.Judged("none", "bank", Verdict(None, False, False))]
-    *_, none, step = bank_trial.tabulate(judged).splitlines()
-    assert step == f"| {STEP} | `bank` | 10 | 80 % | 20 % | 10 % | 100 / 360 / 500 ms |"
-    assert none == "| none | `bank` | 1 | - | 0 % | 0 % | - |"
+    *_, none, step, other = bank_trial.tabulate(judged).splitlines()
+    assert step == f"| {STEP} | 10 | `bank` | 80 % | 20 % | 10 % | 100 / 360 / 500 ms |"
+    assert other == "|  |  | `isolating` | 0 % | 0 % | 0 % | - |"
+    assert none == "| none | 1 | `bank` | - | 0 % | 0 % | - |"
 
 
 def test_what_follows_an_onset_is_as_in_the_whole_flight(recorded):

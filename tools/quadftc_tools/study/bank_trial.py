@@ -56,7 +56,7 @@ SEEDS = {"tuning": range(100), "judging": range(1000, 1_000_000)}
 ATTITUDE, GYRO, ACCELEROMETER = range(3)  # sensors, as in `SensorDiagnosis`
 NOBODY, PUSH = -1, -2
 HEAD = (
-    *("fault", "by", "flights", "named", "misnamed at some time", "ambiguous to the end"),
+    *("fault", "flights", "by", "named", "misnamed at some time", "ambiguous to the end"),
     "named after, median / 95 % / largest",
 )
 
@@ -230,18 +230,20 @@ def judge_flight(seed: int, observers: Sequence[str]) -> list[Judged]:
 
 
 def tabulate(judged: Iterable[Judged]) -> str:
-    """Write a row for each kind of fault and observer."""
+    """Write a row for each kind of fault and observer; of a kind, the first row names it."""
     groups: dict[tuple[str, str], list[Verdict]] = {}
     for kind, observer, verdict in judged:
         groups.setdefault((kind, observer), []).append(verdict)
-    order, rows = list(KINDS), list[tuple[str, ...]]()
+    order, rows, shown = list(KINDS), list[tuple[str, ...]](), ""
     for (kind, observer), verdicts in sorted(groups.items(), key=lambda group: order.index(group[0][0])):
         delays = [each.delay for each in verdicts if each.delay is not None]
         counts = len(delays), sum(each.wrong for each in verdicts), sum(each.unsure for each in verdicts)
         named, *others = (write_per_cent((count / len(verdicts),)) for count in counts)
         times = [float(each) for each in np.quantile(delays, (0.5, 0.95, 1.0))] if delays else [None]
         row = named if KINDS[kind].sensor >= 0 else NOTHING, *others, write_times(tuple(times))
-        rows.append((kind, f"`{observer}`", str(len(verdicts)), *row))
+        head = ("", "") if kind == shown else (kind, str(len(verdicts)))
+        rows.append((*head, f"`{observer}`", *row))
+        shown = kind
     return markdown(HEAD, rows)
 
 
