@@ -39,6 +39,7 @@ from quadftc_model.rotations import turn
 
 BIASED = 0.004  # rad/s; that a healthy gyro and the virtual one may differ by, 1 sigma
 SCATTERED, LARGEST = 0.1, 100.0  # s, 1; over which the attitude's scatter is taken, and its bound
+QUICK = 0.008  # s; noise of a gyro is quicker than this
 AGILE, MOST = 0.1, 7.0  # s, 1; how fast q is learned; log of its largest factor
 NEEDED = 0.06  # s; averaging time of the acceleration
 SLIGHT = 0.03  # rad/s; a gyro that is off by less cannot be told from a healthy one again
@@ -52,6 +53,7 @@ class Trace(NamedTuple):
     deviation: Vector  # gyro less estimated rate at the last sample [rad/s]
     jump: Vector  # largest innovation of the gyro of late, in standard deviations, fading
     innovation: Vector  # of the gyro, the last [rad/s]
+    drift: Vector  # its mean over `QUICK` [rad/s]
     agility: Vector  # log of the learned factor of q
     needed: Vector  # unknown acceleration by gyro and torque [rad/s²]
     rotation: Vector  # attitude, measured less predicted, at the last sample [rad]
@@ -132,8 +134,8 @@ def step_monitor(
 ) -> tuple[GyroMonitor, Vector, Mask]:
     """Advance by ``dt`` [s] to a sample.
 
-    Also return the square of the gyro's innovation [rad²/s²], and where noise is learned from it. One that
-    keeps its sign is unknown acceleration, and raises q.
+    Also return the square of what is noise in the gyro's innovation [rad²/s²], and where it can be learned:
+    what changes quickly is noise, what keeps its sign is unknown acceleration, and raises q.
     """
     # against a rate that the gyro does not correct, an outlier proves nothing
     alarm = ~state.faulty & (gyro.stuck | (gyro.odd & (gyro.wanted | ~gyro.there)))
@@ -145,7 +147,7 @@ def step_monitor(
 
     # correct by gyro and attitude
     before = state.filter.rate
-    filtered, turned, innovation, trace = _hear(ahead, state.trace, gyro, used, before, dt)
+    filtered, turned, white, trace = _hear(ahead, state.trace, gyro, used, before, dt)
     q_xyzw = turn(ahead.q_xyzw, turned)
     wanted = attitude.healthy | ~used
     filtered, q_xyzw, trace = _see(filtered, q_xyzw, trace, gyro, attitude, begins, wanted, dt)
@@ -156,7 +158,7 @@ def step_monitor(
     still, fault = reading_test.follow_deviation(
         state.fault, faulty, alarm, alive, gyro.suspicion, trace.deviation, noise, known, dt
     )
-    return GyroMonitor(q_xyzw, filtered, still, ~good, fault, ahead.drive, alone, trace), innovation**2, used
+    return GyroMonitor(q_xyzw, filtered, still, ~good, fault, ahead.drive, alone, trace), white, used
 
 
 def gyro_error(fault: Vector, age: Vector) -> tuple[Vector, Vector]:
@@ -174,10 +176,12 @@ def _hear(
 ) -> tuple[RateFilter, Vector, Vector, Trace]:
     """Correct by a reading of the gyro, after a rate of ``before`` [rad/s].
 
-    Also return the rotation [rad] and the innovation [rad/s].
+    Also return the rotation [rad] and the square of what is noise [rad²/s²].
     """
-    average = 1.0 - exp(-dt / NEEDED)
+    quick, average = 1.0 - exp(-dt / QUICK), 1.0 - exp(-dt / NEEDED)
     innovation, variance = gyro.rate - ahead.filter.rate, ahead.filter.rr + gyro.noise
+    change = innovation - trace.drift
+    white = (1.0 - 0.5 * quick) * change * change
     keeps = clip(innovation * trace.innovation / variance, -3.0, 3.0)
     # gyro and torque together ask for an acceleration
     asked = (gyro.rate - (before + trace.deviation)) / larger(dt, SHORTEST) - ahead.known
@@ -186,10 +190,11 @@ def _hear(
     trace = trace._replace(
         jump=_recent(trace.jump, innovation / sqrt(variance) * used, exp(-dt / LATELY)),
         innovation=where(used, innovation, trace.innovation),
+        drift=where(used, trace.drift + quick * change, trace.drift),
         agility=clip(trace.agility + (dt / AGILE) * keeps * used, 0.0, MOST),
         needed=trace.needed + average * (asked - trace.needed),
     )
-    return corrected, turned, innovation, trace
+    return corrected, turned, white, trace
 
 
 def _see(
