@@ -123,25 +123,6 @@ def endurance(
     _finish(part.table(grown), part.summary(mode, graph, rate, flown, grown), flown, out)
 
 
-@app.command()
-def storms(
-    samples: Annotated[int, typer.Option(min=1, help="Of each kind, for each observer.")] = 1_000_000,
-    seed: SeedOption = 1,
-    out: OutOption = None,
-) -> None:
-    """Throw wild samples at every fault observer; tell whether one gives no number, or has to restart."""
-    from quadftc_tools.soak import storms as part
-
-    def follow(storm: part.Storm) -> None:
-        say(
-            f"{storm.observer} {storm.where}, {storm.storm}: {storm.samples} samples,"
-            f" {storm.not_finite} not finite, {storm.restarts} restarts"
-        )
-
-    done = part.soak(samples, seed, follow)
-    _finish(part.table(done), part.summary(done, seed), done, out)
-
-
 def _hit_recorders(hit: str, trials: int, seed: int, out: Path | None) -> None:
     from quadftc_tools.soak import recorder as part
 
