@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from quadftc_cli.screen import plain_table
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphPlan, check_options
 from quadftc_flight.graph.processes import ProcessGraph
@@ -23,7 +24,6 @@ from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_ros.topics import GRAPHS, TOPICS
 from quadftc_ros.transport import load_trace
 from quadftc_tools.bench.machine import Usage
-from quadftc_tools.results_table import results_table
 
 SETTLED = 1.0  # s; what comes before is not counted
 PERCENTILES = (50.0, 90.0, 99.0, 99.9)
@@ -212,9 +212,8 @@ def latency_table(results: Sequence[Mapping[str, Any]]) -> Table:
     """Stages of one rate; of several runs, the medians."""
     first, shown = results[0], (*(f"p{level:g}" for level in PERCENTILES), "max")
     what = f"{first['graph']}, {first['executor']}" if first["graph"] == "composed" else first["graph"]
-    table = results_table(
-        f"{first['rate']:g} Hz, {what}, {first['observer']}: latency [us]", ("stage",), shown
-    )
+    title = f"{first['rate']:g} Hz, {what}, {first['observer']}: latency [us]"
+    table = plain_table(("stage",), shown, title)
     for stage in first["stages"]:
         rows = [item["stages"][stage] for item in results if stage in item["stages"]]
         table.add_row(stage, *(f"{median_high([row[name] for row in rows]):.0f}" for name in shown))

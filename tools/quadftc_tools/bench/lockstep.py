@@ -12,12 +12,12 @@ from typing import Any
 
 from rich.table import Table
 
+from quadftc_cli.screen import plain_table
 from quadftc_compile.engine import CEngine
 from quadftc_flight.closed_loop import fly, loop_of
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
-from quadftc_tools.results_table import results_table
 
 RECORDING, COMPOSED, SINGLE, ALONE = FORMS = (
     "composed, recording",
@@ -93,7 +93,7 @@ def lockstep_table(results: Sequence[Mapping[str, Any]]) -> Table:
     """
     title = f"lock-step, {results[0]['observer']}"
     numbers = ("times real time", "one sample [us]", "of the closed loop", "processor [us]")
-    table = results_table(title, ("rate [Hz]", "form", "engine"), numbers)
+    table = plain_table(("rate [Hz]", "form", "engine"), numbers, title)
 
     def median(key: str, rate: float, form: str, engine: str) -> float:
         wanted = (rate, form, engine)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from quadftc_cli.screen import plain_table
 from quadftc_compile.engine import CEngine, engine_named
 from quadftc_compile.runner import CRunner
 from quadftc_control.controller import controllers
@@ -29,7 +30,6 @@ from quadftc_flight.scenario import find_scenario, load_scenario, with_duration
 from quadftc_model.arrays import rows_of
 from quadftc_model.composition import RunnerCalls
 from quadftc_model.stepper import Engine
-from quadftc_tools.results_table import results_table
 
 RATE, DURATION = 250.0, 6.0  # Hz, s; by then observers have started
 PLACES = {"test stand": "mems_faults", "free flight": "free_circle"}  # and the scenario flown there
@@ -171,7 +171,7 @@ def step_table(results: Sequence[Mapping[str, Any]]) -> Table:
     numbers = ("best", "median", "in a loop of C", "statements", "trace [s]", "compile [s]", "KiB")
     in_c = any("loop_us" in item for item in results)
     title = f"one step [us of processor time], {results[0]['engine']}"
-    table = results_table(title, ("kind", "law", "where"), numbers if in_c else numbers[:2])
+    table = plain_table(("kind", "law", "where"), numbers if in_c else numbers[:2], title)
     for item in results:
         cells = [f"{item['best_us']:.1f}", f"{item['median_us']:.1f}"]
         if "loop_us" in item:

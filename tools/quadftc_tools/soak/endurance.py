@@ -28,10 +28,10 @@ from rich.table import Table
 from scipy.stats import linregress
 
 from quadftc_bags.bag import read_bag
+from quadftc_cli.screen import plain_table
 from quadftc_flight.flight import flight_from_bag
 from quadftc_flight.graph.plan import GraphError
 from quadftc_flight.summary import summary as summary_of
-from quadftc_tools.results_table import results_table
 from quadftc_tools.soak.endurance_flight import scenario_of
 
 LOOK = 2.0  # s
@@ -190,7 +190,7 @@ def _judge(bag: Path, told: dict[str, Any], scenario: Any) -> Flown:
 def table(grown: list[Growth]) -> Table:
     """One row for each process."""
     numbers = ("looks", "memory [MB]", "growth [MB/h]", "open files", "growth [1/h]", "threads")
-    shown = results_table("After the warm-up", ("process",), numbers)
+    shown = plain_table(("process",), numbers, "After the warm-up")
     for each in grown:
         shown.add_row(
             *(each.name, str(each.looks), f"{each.memory:.1f}", f"{each.slope:+.2f} ± {each.error:.2f}"),

@@ -18,12 +18,12 @@ from rclpy.serialization import deserialize_message
 from rich.table import Table
 
 from quadftc_bags.bag import Bag, read_bag
+from quadftc_cli.screen import plain_table
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.runs import GRAPHS
 from quadftc_flight.scenario import node_parameters
 from quadftc_ros.diagnostics import ERROR, WARN
 from quadftc_ros.topics import TOPICS
-from quadftc_tools.results_table import results_table
 from quadftc_tools.soak.intruder import ATTACKS, NAME
 from quadftc_tools.soak.node_flight import BASE, RATE, best_scheduling, soak_scenario
 
@@ -126,7 +126,7 @@ def _statuses(bag: Bag) -> Iterator[tuple[int, Any]]:
 def table(done: Sequence[Trial]) -> Table:
     """One row for each attack."""
     numbers = ("sent", "refused", "worst error [deg]", "named after [s]")
-    shown = results_table("A stranger publishes in flight", ("attack", "topic"), numbers)
+    shown = plain_table(("attack", "topic"), numbers, "A stranger publishes in flight")
     for each in done:
         cells = str(each.sent), str(each.refused), f"{each.largest:.2f}", f"{each.named:.2f}"
         shown.add_row(each.attack, ATTACKS[each.attack].topic, *cells)

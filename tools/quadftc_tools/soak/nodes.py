@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.table import Table
 
-from quadftc_tools.results_table import results_table
+from quadftc_cli.screen import plain_table
 from quadftc_tools.soak.node_flight import (
     ACTIONS,
     HOLD_BACK,
@@ -89,7 +89,7 @@ def table(done: Sequence[Trial]) -> Table:
     """One row for each kind of hit, and one for all; without trials that are void."""
     done = [each for each in done if not each.void]
     numbers = ("trials", "survived", "worst error [deg]", "worst return [s]", "worst jump [%]")
-    shown = results_table("Faults of nodes in flight", ("node", "what", "during"), numbers)
+    shown = plain_table(("node", "what", "during"), numbers, "Faults of nodes in flight")
     for hit in ALL:
         rows = [each for each in done if Hit(each.node, each.action, each.stress) == hit]
         if rows:

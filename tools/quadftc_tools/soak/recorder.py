@@ -40,6 +40,7 @@ from rosbags.highlevel import AnyReader
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.interfaces import load_message_class
 from quadftc_bags.repair import repair
+from quadftc_cli.screen import plain_table
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphError, GraphPlan
 from quadftc_flight.graph.processes import executable_path
@@ -47,7 +48,6 @@ from quadftc_flight.scenario import find_scenario, load_scenario, node_parameter
 from quadftc_ros.conversions import NANOSECONDS, stamp_of, time_message
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.topics import TOPICS
-from quadftc_tools.results_table import results_table
 
 FORMS = NODE, NODE_LOCKSTEP, COMPOSED, COMPOSED_LOCKSTEP = (
     "node, real time",
@@ -268,7 +268,7 @@ def table(hit: str, done: Sequence[Trial]) -> Table:
     """One row for each form, and one for all."""
     numbers = ("trials", "worst loss [s]", "median [s]", "worst in stamps [s]")
     numbers += ("bad after repair", "messages read")
-    shown = results_table(f"{hit} at a random time", ("form",), numbers)
+    shown = plain_table(("form",), numbers, f"{hit} at a random time")
     for name in (*FORMS, "all"):
         rows = [trial for trial in done if name in (trial.form, "all")]
         if rows:

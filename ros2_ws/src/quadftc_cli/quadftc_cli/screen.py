@@ -37,7 +37,7 @@ def warn(lines: Iterable[str]) -> None:
 
 def plain_table(left: Iterable[str], right: Iterable[str], title: str | None = None) -> Table:
     """Table with a rule below its headings only: columns of words, then columns of numbers."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=title)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=None if title is None else Text(title))
     for heading in left:
         table.add_column(Text(heading), no_wrap=True)
     for heading in right:
