@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -12,11 +13,14 @@ from quadftc_replay.inspection.causes import reported_failure
 from quadftc_replay.inspection.diagnosis import read_with_layout
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
-from quadftc_replay.inspection.verdict import Finding, unjudged
+from quadftc_replay.inspection.verdict import unjudged
 from quadftc_replay.readers.ulog import DETECTOR, read_contents
 from quadftc_tools.study.intervals import share_interval
 from quadftc_tools.study.league_logs import HEALTHY, Label
 from quadftc_tools.study.page import NOTHING
+
+# seconds from the onset: the autopilot says anything, it names the component, onset that `diagnose` finds
+Delays = tuple[float | None, ...]
 
 # component of a label -> words by which an autopilot names it, in small letters
 WORDS = {
@@ -29,28 +33,30 @@ WORDS = {
     "rotor": ("motor", "thrust loss"),
     "vibration": ("vibration",),
 }
-OTHERS_HEADINGS = ("log", "true", "autopilot says", "and names the component", "diagnose")
+OTHERS_HEADINGS = ("faulty", "autopilot says", "and names the component", "diagnose names it, onset off by")
 PX4_HEADINGS = ("log", "PX4's failure detector", "diagnose", "which could not judge")
 
 
 def other_rows(labels: Mapping[Path, Label]) -> Iterator[list[str]]:
-    """Yield a row for each faulty flight, one for all of them, one for the healthy ones."""
-    tally = list[tuple[bool, bool, bool]]()
-    healthy = [read_with_layout(path, "") for path, label in labels.items() if label.component == HEALTHY]
+    """Yield a row for each faulty component, one for all of them, one for the healthy flights."""
+    tally: dict[str, list[Delays]] = {}
     for path, label in labels.items():
         if label.component == HEALTHY or label.onset_s is None:
             continue
-        log = read_with_layout(path, "")
-        said = [event for event in log.events if event.time >= label.onset_s]
-        named = [event for event in said if _names(event, label.component)]
+        log, onset = read_with_layout(path, ""), label.onset_s
+        said = [event.time - onset for event in log.events if event.time >= onset]
+        named = [event.time - onset for event in log.events if event.time >= onset and _names(event, label)]
         found = inspect(log).verdict.findings[:1]
-        is_right = bool(found) and found[0].component == label.component
-        tally.append((bool(said), bool(named), is_right))
-        cells = [_say(events, label.onset_s) for events in (said, named)]
-        yield [path.stem, _true(label), *cells, _find(found, label.onset_s)]
-    yield ["faulty", "", *(share(sum(column), len(tally)) for column in zip(*tally, strict=True))]
+        off = [abs(each.onset_s - onset) for each in found if each.component == label.component]
+        delays = tuple(min(each, default=None) for each in (said, named, off))
+        tally.setdefault(label.component, []).append(delays)
+    for component, flights in sorted(tally.items()):
+        yield [component, *(_within(column) for column in zip(*flights, strict=True))]
+    faulty = zip(*itertools.chain.from_iterable(tally.values()), strict=True)
+    yield ["all", *(share(sum(each is not None for each in column), len(column)) for column in faulty)]
+    healthy = [read_with_layout(path, "") for path, label in labels.items() if label.component == HEALTHY]
     wrong = [sum(map(judge, healthy)) for judge in (_autopilot_fails, _diagnose_finds)]
-    yield ["healthy", "", share(wrong[0], len(healthy)), NOTHING, share(wrong[1], len(healthy))]
+    yield ["none", share(wrong[0], len(healthy)), NOTHING, share(wrong[1], len(healthy))]
 
 
 def px4_rows(data: Path) -> Iterator[list[str]]:
@@ -71,24 +77,15 @@ def share(hits: int, cases: int) -> str:
     return f"{hits} of {cases}: {100.0 * hits / cases:.0f} % [{100.0 * low:.0f}, {100.0 * high:.0f}]"
 
 
-def _names(event: Event, component: str) -> bool:
+def _names(event: Event, label: Label) -> bool:
     text = f"{event.source} {event.text}".lower()
-    return any(word in text for word in WORDS[component])
+    return any(word in text for word in WORDS[label.component])
 
 
-def _true(label: Label) -> str:
-    return f"{label.component} {label.element or ''}".rstrip()
-
-
-def _say(events: Sequence[Event], onset: float) -> str:
-    if not events:
-        return NOTHING
-    first = [event for event in events if event.time == events[0].time][-1]  # MSG comes after ERR and EV
-    return f"{first.time - onset:.2f} s: {first.text}"
-
-
-def _find(found: Sequence[Finding], onset: float) -> str:
-    return f"{found[0].name} {found[0].kind}, {found[0].onset_s - onset:+z.2f} s" if found else NOTHING
+def _within(delays: Sequence[float | None]) -> str:
+    known = sorted({f"{each:.2f}" for each in delays if each is not None}, key=float)
+    times = f", {' to '.join(known[:: len(known) - 1 or 1])} s" if known else ""
+    return f"{sum(each is not None for each in delays)} of {len(delays)}{times}"
 
 
 def _autopilot_fails(log: FlightLog) -> bool:
