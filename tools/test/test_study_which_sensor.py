@@ -43,7 +43,7 @@ def test_overview_and_kinds_count_what_was_named_and_lost():
     found = cells(tables["which-sensor"], "`isolating`")
     assert found[:6] == ["3", "1", "100 %", "50 %", "33.3 %", "12 / 15.6 ms"]
     kinds = cells(tables["which-sensor-kinds"], "step")
-    assert kinds == ["100 % / 25 % / 3 deg", "50 % / 25 % / 90 deg", "-"]
+    assert kinds == ["100 / 25 / 3", "50 / 25 / 90", "-"]
     assert not figures
 
 

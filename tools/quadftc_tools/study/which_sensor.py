@@ -19,6 +19,7 @@ from quadftc_tools.study.numbers import (
     write_count,
     write_degrees,
     write_number,
+    write_numbers,
     write_per_cent,
     write_times,
 )
@@ -28,6 +29,7 @@ FAULTS = ("which_sensor", "which_sensor_observers")  # the second: some of these
 NAMES = (*FAULTS, "which_sensor_healthy")
 JUDGED = "isolating"  # the observer of which the tables say more
 DELAY = "fault.naming_delay_s"
+KINDS = ("fault.named", "fault.ambiguous_share")
 ERROR, RATIO = "attitude_error_max_deg", "attitude_error_max_deg_ratio"
 OVERVIEW = (
     *("", "flights", "lost", "attitude faults named", "gyro faults named", "of them misnamed at some time"),
@@ -78,7 +80,7 @@ def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
 
 
 def kinds_table(faults: pl.DataFrame) -> str:
-    """Named, ambiguous and worst error of each kind of fault; a column for each sensor."""
+    """Named [%], ambiguous [%] and worst error [deg] of each kind of fault; a column for each sensor."""
     groups = faults.partition_by("fault.kind", "fault.component", as_dict=True)
     kinds = sorted({kind for kind, _ in groups})
     rows = [(kind, *(_kind_cell(groups.get((kind, sensor))) for sensor in SENSORS)) for kind in kinds]
@@ -88,8 +90,8 @@ def kinds_table(faults: pl.DataFrame) -> str:
 def _kind_cell(part: pl.DataFrame | None) -> str:
     if part is None:
         return "-"
-    shares = (write_per_cent((_mean(part, name),)) for name in ("fault.named", "fault.ambiguous_share"))
-    return " / ".join((*shares, write_degrees((_max(whole_flights(part), ERROR),))))
+    named, ambiguous = (part[name].cast(pl.Float64) * 100.0 for name in KINDS)
+    return write_numbers((_number(named.mean()), _number(ambiguous.mean()), _max(whole_flights(part), ERROR)))
 
 
 def confusion_table(faults: pl.DataFrame) -> str:
