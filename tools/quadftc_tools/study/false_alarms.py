@@ -134,7 +134,7 @@ def healthy_table(judged: Sequence[Judged], group: str) -> str:
     for each in judged:
         for key in ((each.autopilot, each.group), (each.autopilot, "all")):
             rows.setdefault(key, []).append(each)
-    headings = (group, "flights", "hours", "with a finding", "share (95 %)", "findings", "an hour (95 %)")
+    headings = (group, "flights", "hours", "with a finding", "per cent [95 %]", "findings", "an hour [95 %]")
     return markdown(headings, (_healthy_row(*key, found) for key, found in sorted(rows.items())))
 
 
@@ -147,8 +147,8 @@ def _healthy_row(autopilot: str, group: str, judged: Sequence[Judged]) -> Sequen
     low, high = share_interval(wrong, flights)
     least, most = poisson_interval(findings)
     name = f"{AUTOPILOTS.get(autopilot, '')} {group}".strip()
-    share = f"{100.0 * wrong / flights:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
-    rate = f"{findings / hours:.2g} ({least / hours:.2g} to {most / hours:.2g})"
+    share = f"{100.0 * wrong / flights:.1f} [{100.0 * low:.1f}, {100.0 * high:.1f}]"
+    rate = f"{findings / hours:.2g} [{least / hours:.2g}, {most / hours:.2g}]"
     return name, str(flights), f"{hours:.2f}", str(wrong), share, str(findings), rate
 
 
@@ -163,9 +163,9 @@ def reliability_table(judged: Iterable[Judged]) -> str:
     for number, found in sorted(held.items()):
         low, high = share_interval(sum(found), len(found))
         span = f"{BINS[number - 1]:g} to {BINS[number]:g}"
-        shares = f"{100.0 * sum(found) / len(found):.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+        shares = f"{100.0 * sum(found) / len(found):.0f} [{100.0 * low:.0f}, {100.0 * high:.0f}]"
         rows.append((span, str(len(found)), str(sum(found)), shares))
-    return markdown(("probability", "findings", "true", "share (95 %)"), rows)
+    return markdown(("probability", "findings", "true", "per cent [95 %]"), rows)
 
 
 def stored(healthy: Sequence[Judged], faulty: Sequence[Judged]) -> dict[str, Any]:
