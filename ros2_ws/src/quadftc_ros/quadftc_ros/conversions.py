@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,14 @@ from quadftc_model.samples import ALARMS, FAULTY
 from quadftc_msgs.msg import FaultStatus
 
 END_NS = 2**31 * NANOSECONDS  # ns; where the stamps end that a message can have
+_EPOCH_NS = time.time_ns() - time.monotonic_ns()
 
 Floats = NDArray[np.float64]
+
+
+def wall_ns() -> int:
+    """Time of the machine [ns], by its clock as it was when this process began: setting it moves nothing."""
+    return _EPOCH_NS + time.monotonic_ns()
 
 
 def stamp_of(message: Any) -> int:

@@ -8,7 +8,9 @@ import math
 import os
 import signal
 import sys
+import threading
 import time
+import weakref
 from collections.abc import Callable, Generator, Sequence
 from operator import attrgetter
 from types import FrameType
@@ -31,6 +33,7 @@ EXECUTORS = ("events", "single")
 LAUNCHER = "QUADFTC_LAUNCHER"  # environment variable: the process whose end ends this one
 NEAR = 100_000  # ns; an executor that sleeps may wake so late
 MAX_WORDS = 1000  # characters of what is said about a wrong parameter
+CLOCK_PERIOD, SET_BACK = 0.02, 5_000_000  # s, ns; how often the machine's clock is looked at, what matters
 POLL = 0.25  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
 
 
@@ -38,7 +41,33 @@ def make_executor(kind: str = "events", context: Any = None) -> Any:
     """Make an executor: ``events`` (fast) or ``single`` (rclpy's default)."""
     if kind not in EXECUTORS:
         raise ValueError(f"executor = {kind!r}: expected one of {', '.join(EXECUTORS)}")
-    return EventsExecutor(context=context) if kind == "events" else SingleThreadedExecutor(context=context)
+    if kind == "single":
+        return SingleThreadedExecutor(context=context)
+    executor = EventsExecutor(context=context)
+    threading.Thread(target=_outlive_clocks, args=(weakref.ref(executor),), daemon=True).start()
+    return executor
+
+
+def _outlive_clocks(found: weakref.ref[Any]) -> None:
+    """Wake an executor and its timers whenever the clock of the machine was set back, until it is gone.
+
+    The rclpy of the wheels, made for a glibc older than 2.30, turns each time-out into a time of that clock:
+    the waits in progress would last longer by what it was set back.
+    """
+    ahead_ns = time.time_ns() - time.monotonic_ns()
+    while (executor := found()) is not None:
+        before_ns, ahead_ns = ahead_ns, time.time_ns() - time.monotonic_ns()
+        if before_ns - ahead_ns > SET_BACK:
+            executor.create_task(_wind_up, executor)
+        del executor
+        time.sleep(CLOCK_PERIOD)
+
+
+def _wind_up(executor: Any) -> None:
+    """Have all timers of an executor await their next time anew."""
+    for node in executor.get_nodes():
+        for timer in node.timers:
+            timer.reset()
 
 
 class Slice:

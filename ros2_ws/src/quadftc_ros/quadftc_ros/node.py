@@ -21,7 +21,7 @@ from quadftc_bags.cdr.message import leading_stamp_ns, read_message
 from quadftc_bags.interfaces import load_message_class
 from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
-from quadftc_ros.conversions import NANOSECONDS, stamp_of
+from quadftc_ros.conversions import NANOSECONDS, stamp_of, wall_ns
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
 from quadftc_ros.guard import LOOK, Guard
 from quadftc_ros.lifecycle import ManagedNode
@@ -255,10 +255,10 @@ class GraphNode(ManagedNode):
         self._flying = True
 
     def now_ns(self) -> int:
-        """Time of the node's clock [ns]: that of the machine, or /clock with use_sim_time."""
+        """Time [ns]: that of the machine, as in `wall_ns`, or /clock with use_sim_time."""
         clock = self.get_clock()
         if isinstance(clock, ROSClock) and not clock.ros_time_is_active:
-            return time.time_ns()  # the same, without two objects of rclpy
+            return wall_ns()
         return clock.now().nanoseconds
 
     def report(self) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import time
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from quadftc_bags.interfaces import load_message_class
 from quadftc_bags.writer import BagStatus
 from quadftc_bags.writer_process import BagProcess, Input
 from quadftc_model.parameters import parameter
-from quadftc_ros.conversions import END_NS
+from quadftc_ros.conversions import END_NS, wall_ns
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
@@ -72,7 +71,7 @@ class RecorderNode(GraphNode):
             from_outside = not self.lockstep and not {*row.publishers} & {*inside}
             self._record(row, subscribes=from_outside or not inside)
         self.flush()  # it takes time to get ready for the topics, which is not to be that of the flight
-        self.create_timer(CHECK_PERIOD, self._check)
+        self.create_timer(CHECK_PERIOD, self._check, clock=self.steady_clock)
         self.create_timer(HAND_OVER_PERIOD, self._writer.hand_over, clock=self.steady_clock)
         self.ready()
 
@@ -154,7 +153,7 @@ class RecorderNode(GraphNode):
     def _taking_by_clock(self, write: Input) -> Take:
         def take(data: bytes) -> None:
             if self.active:
-                now_ns = time.time_ns()
+                now_ns = wall_ns()
                 self.received += 1
                 write(data, now_ns, now_ns)
 

@@ -7,6 +7,8 @@ import sys
 import time
 
 import pytest
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.executors import SingleThreadedExecutor
 
 from node_bench import PATIENCE
@@ -191,3 +193,20 @@ def test_pace_ends_with_its_time_when_nothing_is_due(bench):
     Pace(executor, [Clockwork(0)], poll=False).spin(0.05)
     executor.shutdown()
     assert 0.05 <= time.monotonic() - begin < PATIENCE
+
+
+def test_clock_that_is_set_back_wakes_an_executor_and_its_timers(bench, monkeypatch):
+    executor = make_executor("events", bench.context)
+    timer = bench.tester.create_timer(
+        2 * PATIENCE, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME)
+    )
+    executor.add_node(bench.tester)
+    executor.spin_once(timeout_sec=0.1)
+    before, begin = timer.time_until_next_call(), time.monotonic()
+    monkeypatch.setattr(time, "time_ns", lambda real=time.time_ns: real() - 3_600_000_000_000)
+    while timer.time_until_next_call() <= before and time.monotonic() - begin < PATIENCE:
+        executor.spin_once(timeout_sec=PATIENCE)
+    executor.remove_node(bench.tester)
+    executor.shutdown()
+    bench.tester.destroy_timer(timer)
+    assert time.monotonic() - begin < PATIENCE

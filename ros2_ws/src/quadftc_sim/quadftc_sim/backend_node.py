@@ -14,7 +14,6 @@ import dataclasses
 import select
 import socket
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
@@ -22,6 +21,7 @@ from typing import Any, ClassVar
 from quadftc_compile.engine import engine_from
 from quadftc_model.parameters import parameter
 from quadftc_model.rotors import wrench_from_speeds
+from quadftc_ros.conversions import wall_ns
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.motion_wire import RotorsWire
 from quadftc_ros.node import GraphNode
@@ -152,7 +152,7 @@ class BackendNode(GraphNode):
             self._socket.sendto(data, receiver)
 
     def _simulator(self, rate: float) -> Simulator:
-        return simulator_from({**self._values, "rate": rate}, time.time_ns(), self._engine)
+        return simulator_from({**self._values, "rate": rate}, wall_ns(), self._engine)
 
     def _open_socket(self) -> socket.socket:
         address, port = self._values["address"], self._values["port"]

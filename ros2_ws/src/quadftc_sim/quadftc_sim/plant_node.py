@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from quadftc_compile.engine import engine_from
 from quadftc_model.samples import RotorCondition, is_usable
 from quadftc_model.stepper import MAX_GAP, seconds
-from quadftc_ros.conversions import Floats
+from quadftc_ros.conversions import Floats, wall_ns
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.limits import limits_of
@@ -121,7 +121,7 @@ class PlantNode(GraphNode):
         self._stop_timer()
         if self._timed:
             self._call_every(seconds(self.flight.period_ns), self._on_timer)
-        self._make_flight(EPOCH_NS if self.lockstep else time.time_ns())
+        self._make_flight(EPOCH_NS if self.lockstep else wall_ns())
         self._emit()
         return True
 
