@@ -14,7 +14,7 @@ from typing import Any
 from quadftc_tools.study.page import NOTHING, markdown, run_study
 
 FREE = "free flight"
-HEADS = ("law", "where", "NumPy [us]", "C from Python [us]", "in a loop of C [us]", "compile [s]")
+HEADS = ("law", "NumPy [us]", "C from Python [us]", "in a loop of C [us]", "compile [s]")
 
 
 def table(folder: Path) -> str:
@@ -33,8 +33,8 @@ def _results(path: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
 
 
 def _row(key: tuple[str, str, str], numpy: dict[str, Any], in_c: dict[str, Any]) -> list[str]:
-    kind, law, place = key
-    cells = [f"{kind} `{law}`", place, f"{numpy['best_us']:.0f}"]
+    kind, law, _ = key
+    cells = [f"{kind} `{law}`", f"{numpy['best_us']:.0f}"]
     if "loop_us" not in in_c:
         return [*cells, *(NOTHING,) * 3]
     return [*cells, f"{in_c['best_us']:.1f}", f"{in_c['loop_us']:.2f}", f"{in_c['compile_s']:.2f}"]
