@@ -35,7 +35,7 @@ def report(*arguments: str | Path) -> Done:
 
 def test_directory_of_runs_gives_a_page_and_figures_for_print(runs: Path, tmp_path: Path):
     out = tmp_path / "new" / "report.html"
-    done = run_installed("report", runs, "--out", out)
+    done = run_installed("report", runs, "--figures", "--out", out)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert f"report on 2 runs: {out}" in done.stdout
@@ -51,9 +51,7 @@ def test_directory_of_runs_gives_a_page_and_figures_for_print(runs: Path, tmp_pa
 
 def test_page_without_figures_for_print_names_none(runs: Path, tmp_path: Path):
     tables = tmp_path / "tables"
-    done = report(
-        runs / "busy-proposed", "--no-figures", "--tables", tables, "--out", tmp_path / "report.html"
-    )
+    done = report(runs / "busy-proposed", "--tables", tables, "--out", tmp_path / "report.html")
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "tables"]
     assert sorted(path.name for path in tables.iterdir()) == ["busy.csv", "busy.tex"]
@@ -73,7 +71,7 @@ def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: P
     run = shutil.copytree(runs / "busy-proposed", tmp_path / "busy-proposed")
     (bag,) = run.glob("*.mcap")
     bag.write_bytes(bag.read_bytes()[: bag.stat().st_size * 7 // 10])
-    done = report(run, "--no-figures", "--out", tmp_path / "report.html")
+    done = report(run, "--out", tmp_path / "report.html")
     assert done.returncode == 0, done.stderr
     (warning,) = done.stderr.splitlines()
     assert warning.startswith(f"warning: {run}: cut short at ")
@@ -81,21 +79,19 @@ def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: P
     assert f"<li>{warning.removeprefix('warning: ')}</li>" in page
 
 
-def test_replay_gives_a_page_and_figures_for_print_in_a_directory(replayed: Path, tmp_path: Path):
+def test_replay_gives_a_page_in_a_directory_and_a_figure_for_print(replayed: Path, tmp_path: Path):
     done, out = report(replayed, "--out", tmp_path), tmp_path / "report.html"
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert f"report on 1 replay: {out}" in done.stdout
-    assert {each.name for each in tmp_path.iterdir()} == {"report.html", "report_figures"}
-    page = out.read_text(encoding="utf-8")
-    assert f'data-run="{replayed.name}"' in page
-    figures = {file.name for file in (tmp_path / "report_figures").iterdir()}
-    assert {f"replay-busy-proposed-{kind}-roll.png" for kind in ("attitude", "fault")} <= figures
-    assert all(f"report_figures/{name}" in page for name in figures)
+    assert [each.name for each in tmp_path.iterdir()] == ["report.html"]
+    assert f'data-run="{replayed.name}"' in out.read_text(encoding="utf-8")
+    assert report(replayed, "--figure", "replay-busy-proposed-fault-roll", "--out", tmp_path).returncode == 0
+    assert len(list(tmp_path.rglob("replay-busy-proposed-fault-roll.*"))) == 2  # PNG, PDF
 
 
 def test_runs_and_replays_go_into_one_report(runs: Path, replayed: Path, tmp_path: Path):
-    done = report(runs, replayed, "--no-figures", "--out", tmp_path / "report.html")
+    done = report(runs, replayed, "--out", tmp_path / "report.html")
     assert done.returncode == 0, done.stderr
     assert "report on 2 runs and 1 replay: " in done.stdout
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

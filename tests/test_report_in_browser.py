@@ -52,7 +52,7 @@ def runs(fly_graph, busy_scenario, replay_run) -> dict[str, Path]:
 @pytest.fixture(scope="module")
 def page(runs, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("report") / "report.html"
-    return write_report(list(runs.values()), out, with_figures=False).page
+    return write_report(list(runs.values()), out).page
 
 
 @pytest.fixture(scope="module")

@@ -50,7 +50,7 @@ def call(tmp_path_factory):
 def test_flies_checks_and_reports(call):
     run = call("run", "paper_faults", "--out", "runs")
     assert run.returncode in (0, 1), run.stderr
-    assert call("report", "runs", "--no-figures", "--out", "page.html").returncode == 0
+    assert call("report", "runs", "--out", "page.html").returncode == 0
     assert call("check", "paper_faults").returncode == 0
     assert call("check", "x500").returncode == 0
     assert call("export", "sliding_mode", "--vehicle", "x500", "--out", "law").returncode == 0

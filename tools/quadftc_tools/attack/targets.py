@@ -197,7 +197,7 @@ def _bag(draw: Draw, seeds: Seeds) -> Input:
         *(["replay", "bag", "--out", "out"], ["replay", "bag", "--out", "out", "--observer", "supervised"]),
         *(["replay", storage, "--out", "out", "--skip-backwards"], ["check", "bag"], ["check", storage]),
         *(["repair", "bag", "--out", "out/x"], ["repair", "bag"], ["repair", "bag", "--force"]),
-        *(["repair", storage, "--out", "out/x"], ["report", "bag", "--out", "out.html", "--no-figures"]),
+        *(["repair", storage, "--out", "out/x"], ["report", "bag", "--out", "out.html"]),
     )
     return files, list(pick(draw, commands))
 

@@ -51,7 +51,7 @@ def write_report(
     paths: Sequence[Path],
     out: Path,
     *,
-    with_figures: bool = True,
+    with_figures: bool = False,
     tables: Path | None = None,
     progress: Progress = lambda _what, _share: None,
 ) -> ReportFiles:

@@ -26,7 +26,7 @@ def report(
     ] = Path("report.html"),
     figures: Annotated[
         bool, Option(help="Write the figures as PNG and PDF, too, into a directory beside the page.")
-    ] = True,
+    ] = False,
     figure: Annotated[
         list[str],
         Option(
