@@ -36,7 +36,7 @@ from quadftc_replay.plan import FROM_GYRO
 from quadftc_tools.study.intervals import poisson_interval
 from quadftc_tools.study.league_flights import FLOWN, fly_log
 from quadftc_tools.study.league_logs import cut, read_healthy, read_labels
-from quadftc_tools.study.league_others import OTHERS_HEADINGS, PX4_HEADINGS, other_rows, px4_rows
+from quadftc_tools.study.league_others import OTHERS_HEADINGS, other_rows
 from quadftc_tools.study.numbers import write_number
 from quadftc_tools.study.page import NOTHING, has_detector, markdown, run_study
 
@@ -263,7 +263,6 @@ def make(data: Path) -> dict[str, str]:
         "league-healthy": markdown(HEALTHY_HEADINGS, of_healthy),
         "league-faults": markdown(["who", "logs", "faults", *CASES], of_faults),
         "league-others": markdown(OTHERS_HEADINGS, other_rows(labels)),
-        "league-px4": markdown(PX4_HEADINGS, px4_rows(data)),
     }
 
 

@@ -6,15 +6,11 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from quadftc_replay.flight_log import Event, FlightLog
 from quadftc_replay.inspection.causes import reported_failure
 from quadftc_replay.inspection.diagnosis import read_with_layout
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
-from quadftc_replay.inspection.verdict import unjudged
-from quadftc_replay.readers.ulog import DETECTOR, read_contents
 from quadftc_tools.study.intervals import share_interval
 from quadftc_tools.study.league_logs import HEALTHY, Label
 from quadftc_tools.study.page import NOTHING
@@ -34,7 +30,6 @@ WORDS = {
     "vibration": ("vibration",),
 }
 OTHERS_HEADINGS = ("faulty", "autopilot says", "and names the component", "diagnose names it, onset off by")
-PX4_HEADINGS = ("log", "PX4's failure detector", "diagnose", "which could not judge")
 
 
 def other_rows(labels: Mapping[Path, Label]) -> Iterator[list[str]]:
@@ -57,18 +52,6 @@ def other_rows(labels: Mapping[Path, Label]) -> Iterator[list[str]]:
     healthy = [read_with_layout(path, "") for path, label in labels.items() if label.component == HEALTHY]
     wrong = [sum(map(judge, healthy)) for judge in (_autopilot_fails, _diagnose_finds)]
     yield ["none", share(wrong[0], len(healthy)), NOTHING, share(wrong[1], len(healthy))]
-
-
-def px4_rows(data: Path) -> Iterator[list[str]]:
-    """Yield what PX4's failure detector says in each log, and what `diagnose` says."""
-    for path in sorted(data.glob("px4/**/*.ulg")):
-        status = read_contents(path, (DETECTOR,)).get(DETECTOR) or {}
-        raised = [name for name, flag in status.items() if name.startswith("fd_") and np.any(flag)]
-        detector = ", ".join(raised) or ("silent" if status else "not logged")
-        said = inspect(read_with_layout(path, "")).verdict
-        found = ", ".join(f"{each.name} {each.kind}" for each in said.findings) or "no finding"
-        missing = ", ".join(unjudged(said.judged, said.not_judged)) or NOTHING
-        yield [path.name, detector, found, missing]
 
 
 def share(hits: int, cases: int) -> str:
