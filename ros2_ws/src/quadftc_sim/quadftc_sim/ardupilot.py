@@ -63,15 +63,20 @@ def rotor_speeds(vehicle: Vehicle, pwm: Sequence[int]) -> Components:
 class ArduPilotPhysics(AutopilotPhysics):
     """The physics behind SITL.
 
-    A frame count that goes back is a restart. Each packet's rate is that of its period: SITL comes from
-    1200 Hz to its ``SIM_RATE_HZ`` in steps of 1 Hz.
+    A frame count that goes back is a restart. A packet that comes again was sent before SITL, after a second,
+    had our answer: a second answer would put SITL a frame behind for good. If the answer was lost, SITL asks
+    once more, and gets it.
     """
 
     def __init__(
-        self, make_simulator: Callable[[float], Simulator], make_injector: Callable[[], FaultInjector]
+        self,
+        make_simulator: Callable[[float], Simulator],
+        make_injector: Callable[[], FaultInjector],
+        rate: float | None = None,
     ) -> None:
+        """Take the rate [Hz] that SITL shall follow; None: each packet's own."""
         super().__init__(make_simulator, make_injector)
-        self._frame = 0
+        self._frame, self._repeats, self._rate = 0, 0, rate
 
     def answer(self, data: bytes, sender: Any = None) -> bytes | None:
         """Fly one period under the outputs of a packet; return the state; None for no such packet."""
@@ -80,17 +85,18 @@ class ArduPilotPhysics(AutopilotPhysics):
         except ValueError as error:
             return self.refuse(error)
         if self._simulator is None or packet.frame_count < self._frame:
-            shown = self.begin(float(packet.frame_rate))
+            shown = self.begin(self._rate or float(packet.frame_rate))
         elif self.shown is not None and packet.frame_count == self._frame:
             self.counts["frame_count repeated"] += 1
-            return self.shown.line
+            self._repeats += 1
+            return self.shown.line if self._repeats > 1 else None
         else:
             if missing := packet.frame_count - self._frame - 1:
                 self.counts["frame_count skipped"] += missing
-            self._simulator.set_period(period_ns(packet.frame_rate))
+            self._simulator.set_period(period_ns(self._rate or packet.frame_rate))
             command = rotor_speeds(self._simulator.plant.vehicle, packet.pwm)
             shown = self.fly(command, self._simulator)
-        self._frame = packet.frame_count
+        self._frame, self._repeats = packet.frame_count, 0
         return shown.line
 
     def encode(self, time: float, sample: ImuSample, motion: FreeMotion) -> bytes:

@@ -53,7 +53,7 @@ class Physics:
         values |= {"position_sensor": False, "mag.rate": 0.0, "baro.rate": 0.0, "start": [*start, self.stand]}
         self._values: dict[str, Any] = values
         self.injector = FaultInjector(scenario.seed, (), plant.command_size, self._engine)
-        self._physics = ArduPilotPhysics(self._simulator, lambda: self.injector)
+        self._physics = ArduPilotPhysics(self._simulator, lambda: self.injector, plan.rate)
         self._diagnosis = Diagnosis(plan.scheme.observer.law, self._engine, flies=True)
         self._vehicle = plant.vehicle
         self._speeds: deque[Any] = deque(maxlen=scenario.sensor.delay + 1)
