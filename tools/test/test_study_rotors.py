@@ -1,45 +1,59 @@
-"""The study of rotor diagnosis: what it makes of what an observer says."""
+"""The study of weak rotors, from rows that one can count by hand; its campaigns load."""
 
-from types import SimpleNamespace
+from pathlib import Path
 
-import numpy as np
+import polars as pl
 import pytest
 
-from quadftc_model.samples import FAULTY, HEALTHY
-from quadftc_tools.study.rotors import SENSORS, hear, loss_row
-from quadftc_tools.study.rotors_flights import DURATION, ONSET, RATE, Case, case_of, weak_rotor
+from quadftc_campaign.campaign_file import load_campaign
+from quadftc_tools.study.rotors import NAMES, ROWS, choose, fault_table, healthy_table, make
 
-ROWS, BEGIN = round(DURATION * RATE), round(ONSET * RATE)
-
-
-def said(rotor=None, sensor=None, delay=10, loss=0.25):
-    """What an observer says that names one rotor or sensor, ``delay`` samples after the onset."""
-    states = {f"{name}_state": np.full((ROWS, 3), HEALTHY) for name in SENSORS}
-    rotors, left = np.full((ROWS, 4), HEALTHY), np.ones((ROWS, 4))
-    if sensor is not None:
-        states[f"{sensor}_state"][BEGIN + delay :, 0] = FAULTY
-    if rotor is not None:
-        rotors[BEGIN + delay :, rotor], left[BEGIN + delay :, rotor] = FAULTY, 1.0 - loss
-    clear = np.zeros((ROWS, 3), np.bool_)
-    watched = {"attitude_ambiguous": clear, "gyro_ambiguous": clear, **states}
-    return SimpleNamespace(rotor_state=rotors, rotor_estimate=left, **watched)
+ROOT = Path(__file__).resolve().parents[2]
+LOSS = "loss channel=rotor rotors=2 value=20.5% start=8s"
 
 
-def test_delay_and_error_of_a_rotor_are_measured():
-    case = Case(None, "rotor", 2, 0.3)
-    heard = hear(case, said(rotor=2))
-    assert heard.rotors[2] == pytest.approx(0.04)
-    assert heard.error == pytest.approx(-0.05)
-    row = loss_row("30 %", [case], [heard])
-    assert row == ("30 %", "1", "100 %", "0 %", "0 %", "40 / 40 ms", "5 % / 5 %")
+def row(flight, variant, spec, named=True, delay=0.016, wrong=0.0, lost=False, far=0.1):
+    fault = {"named": named, "naming_delay_s": delay, "size_error_mean": 0.01}
+    flown = {"flight": flight, "variant": variant, "faults.0": spec, "lost": lost, "position_max_m": far}
+    flown |= {"rotors.false_namings": wrong, "sensors.false_namings.gyro": 0.0}
+    return {**flown, **{f"fault.{name}": value for name, value in fault.items()}}
 
 
-def test_wrong_rotor_and_sensor_count_as_such():
-    case = Case(None, "rotor", 2, 0.3)
-    assert loss_row("", [case], [hear(case, said(rotor=1, sensor="gyro"))])[2:5] == ("0 %", "100 %", "100 %")
+def test_faults_are_counted_by_kind_beside_the_flights_without_a_diagnosis():
+    frame = pl.DataFrame(
+        [
+            row(0, "isolating", LOSS),
+            row(1, "isolating", LOSS, named=False, delay=None, wrong=2.0, far=0.3),
+            row(0, "undiagnosed", LOSS, named=False, delay=None, lost=True),
+            row(1, "undiagnosed", LOSS, named=False, delay=None, far=0.5),
+        ]
+    )
+    *_, line = fault_table(frame).splitlines()
+    assert [cell.strip() for cell in line.strip("|").split("|")] == [
+        *("rotor: 15 to 40 % lost", "2", "50 %", "50 %", "16 / 16 ms", "1 % / 1 %"),
+        *("0 %", "0.20 / 0.30 m", "50 %", "0.50 / 0.50 m"),
+    ]
 
 
-def test_scenario_of_a_drawn_flight_has_its_fault():
-    case = case_of(3, "rotor", weak_rotor(0.2, 0.3))
-    assert 0.2 <= case.loss <= 0.3
-    assert [fault.injection.channel for fault in case.scenario.faults] == ["rotor"]
+def test_a_slow_loss_has_a_row_of_its_own():
+    frame = pl.DataFrame({"faults.0": [LOSS, LOSS.replace("20.5%", "30% rise=0.5")]})
+    labels = [[each.label for each in ROWS if frame[k : k + 1].filter(choose(each)).height] for k in (0, 1)]
+    assert labels == [["rotor: 15 to 40 % lost"], ["rotor: 30 % lost over 0.5 s"]]
+
+
+def test_flights_in_which_something_healthy_is_named_are_counted():
+    flown = {"variant": "isolating", "healthy_time_s.roll": 80.0, "rotors.false_namings": 0.0}
+    frame = pl.DataFrame([{"flight": k, **flown, "sensors.false_namings.gyro": 2.0 * k} for k in (0, 1)])
+    assert healthy_table(frame).splitlines()[-1] == "| 2 | 0.0444 | 0 | 1 |"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_campaigns_load_and_the_document_has_a_place_for_their_tables(name):
+    assert load_campaign(ROOT / "campaigns" / f"{name}.yaml").variants[0].name == "isolating"
+    text = (ROOT / "docs" / "rotors.md").read_text(encoding="utf-8")
+    assert text.count(f"<!-- table: {name.replace('_', '-')} -->") == 1
+
+
+def test_directory_without_campaigns_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="no study there"):
+        make(tmp_path)
