@@ -10,8 +10,11 @@ import importlib.util
 import logging
 import os
 import signal
+import tempfile
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
+from multiprocessing import resource_tracker
 from typing import Any
 
 from quadftc_campaign.batch.engine import JAX, Progress
@@ -22,7 +25,8 @@ TOPIC = "quadftc-samples"  # on which workers say how far they are
 THREADS = "NPROC"  # so many threads has JAX
 TAKE_ALL = "XLA_PYTHON_CLIENT_PREALLOCATE"  # whether JAX takes most of a GPU's memory at once
 NO_PROFILE = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}  # a sampler that takes 3 % of a core
-TIMEOUT = 30.0  # s, to reach a scheduler
+TIMEOUT, LOOK = 30.0, 0.01  # s; to reach a scheduler, between two looks at what is done
+_STOPPED = threading.Event()  # by Ctrl-C
 PLUGINS = "jax_plugins"  # where JAX looks for accelerators
 
 
@@ -32,19 +36,22 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
 
     A `CampaignError` says that there is no scheduler, or that it has no workers.
     """
+    from dask.config import set as configured
     from distributed import Client, LocalCluster
 
     path = os.environ.get("PYTHONPATH")
     cores = max(1, len(os.sched_getaffinity(0)) // workers)  # for each worker: JAX compiles in threads
-    with contextlib.ExitStack() as stack:
-        with deaf_children():
+    with _ctrl_c_noted(), contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="quadftc-workers-"))
+        stack.enter_context(configured({"temporary-directory": folder}))
+        with _deaf_children():
             target = address or stack.enter_context(
                 LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
                     host="127.0.0.1",
                     dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
-                    silence_logs=logging.ERROR,
+                    silence_logs=logging.CRITICAL,  # what fails in a task is raised here
                     env={THREADS: str(cores)} | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
                 )
             )
@@ -53,24 +60,43 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
             client.wait_for_workers(1, timeout=TIMEOUT)
         except (OSError, ValueError) as error:  # TimeoutError is an OSError
             raise CampaignError(f"scheduler {address or 'here'}: {_first_line(error)}") from None
+        _heed()
         yield client
+        _heed()
 
 
 @contextlib.contextmanager
-def deaf_children() -> Generator[None, None, None]:
-    """Keep Ctrl-C from threads and processes that start meanwhile: who started them ends them.
-
-    A terminal sends it to all processes, and one that still starts would end with a traceback. They ignore
-    it for good; here it is lost meanwhile.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield  # which alone may say what is ignored
+def _ctrl_c_noted() -> Generator[None, None, None]:
+    """Note Ctrl-C for `_heed`: raised anywhere in Dask it may be lost, or leave processes behind."""
+    _STOPPED.clear()
+    is_main = threading.current_thread() is threading.main_thread()  # which alone has signals
+    if not is_main or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.signal(signal.SIGINT, lambda number, frame: _STOPPED.set())
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _heed() -> None:
+    if _STOPPED.is_set():
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Generator[None, None, None]:
+    """Keep Ctrl-C from threads and processes that start meanwhile, for good: who started them ends them.
+
+    A terminal sends it to all processes, and one that still starts would end with a traceback.
+    """
+    resource_tracker.ensure_running()  # else the thread that starts it listens again
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def has_accelerator() -> bool:
@@ -106,7 +132,13 @@ def run_tasks(
         for place, each in enumerate(arguments)
     }
     try:
-        for future in as_completed(futures, loop=client.loop):
+        done = as_completed(futures, loop=client.loop)
+        while not done.is_empty():
+            _heed()
+            if not done.has_ready():
+                time.sleep(LOOK)
+                continue
+            future = next(done)
             try:
                 yield futures[future], future.result()
             except KilledWorker as error:

@@ -12,6 +12,7 @@ import errno
 import functools
 import importlib.util
 import os
+import signal
 import sys
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -135,7 +136,9 @@ def _root(
 
 def main() -> None:
     """Run the command; turn every error into a line and an exit code."""
-    sys.exit(guarded(sys.argv[1:]))
+    code = guarded(sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left that could be stopped
+    sys.exit(code)
 
 
 def guarded(arguments: list[str], command: typer.Typer = app) -> int:
