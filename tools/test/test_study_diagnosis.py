@@ -77,18 +77,12 @@ STEP = {
 
 def flown(number: int, variant: str, event: dict[str, Any] | None = None, **kinds: Any) -> dict[str, Any]:
     """A flight with one fault."""
-    line = {"roll": 19.0, "pitch": 1.0, "yaw": 0.0, "none": 1.0, "time": 20.0}
     diagnosis = {
         "healthy_time_s": HEALTHY,
         "false_alarms": {"roll": 2, "pitch": 0, "yaw": 0},
         "false_alarm_time_s": {"roll": 36.0, "pitch": 0.0, "yaw": 0.0},
         "late_recovery_time_s": PER_AXIS,
         "longest_false_alarm_s": {"roll": 20.0, "pitch": 0.0, "yaw": 0.0},
-        "isolation_tested_s": 19.0,
-        "isolation_correct_s": 18.0,
-        "confusion_single_s": {"none": {**line, "time": 40.0}, "roll": line},
-        "confusion_any_s": {"roll": line},
-        "confusion_by_kind_s": {"step": {"own": 19.0, "other": 1.0, "none": 1.0, "time": 20.0}},
         "by_estimate": {"healthy_time_s": HEALTHY, "false_alarm_time_s": {**PER_AXIS, "yaw": 360.0}},
     }
     score = {"levels": [1.0, 2.0], "alarms": [10, 0], "healthy": 100, "found": [1, 0], "faults": 1}

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import matplotlib as mpl
+import polars as pl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
@@ -41,6 +42,15 @@ RESULTS: dict[str, Any] = {"type": Path, "required": True, "help": "directory of
 def has_detector(observer: str) -> bool:
     """Whether the status of an observer says what is faulty; else the size of its estimate is taken."""
     return fault_observers.get(observer).has_detector
+
+
+def read_campaigns(results: Path, names: Sequence[str]) -> dict[str, pl.DataFrame]:
+    """Read the tables ``RESULTS/NAME/flights.parquet`` that are there; ValueError if there is none."""
+    paths = {name: results / name / FLIGHTS for name in names}
+    frames = {name: pl.read_parquet(path) for name, path in paths.items() if path.is_file()}
+    if not frames:
+        raise ValueError(f"{results}: no study there; expected {names[0]}/{FLIGHTS} or another")
+    return frames
 
 
 def run_study(

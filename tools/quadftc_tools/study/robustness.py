@@ -11,21 +11,18 @@ from pathlib import Path
 import polars as pl
 from matplotlib.figure import Figure
 
-from quadftc_tools.study.page import FLIGHTS, RESULTS, Drawers, Tables, run_study
+from quadftc_tools.study.page import RESULTS, Drawers, Tables, read_campaigns, run_study
 from quadftc_tools.study.robustness_figures import draw_sizes, draw_study
 from quadftc_tools.study.robustness_statistics import SIZES, STUDIES
 
 
-def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
-    """Read the tables ``RESULTS/study_NAME/flights.parquet`` that are there; ValueError if there is none."""
+def read_all(results: Path) -> dict[str, pl.DataFrame]:
+    """Read the tables of the campaigns that are there, variants in order; ValueError if there is none."""
+    found = read_campaigns(results, [f"study_{name}" for name in (SIZES, *(study.name for study in STUDIES))])
     frames: dict[str, pl.DataFrame] = {}
-    for name in (*(study.name for study in STUDIES), SIZES):
-        path = results / f"study_{name}" / FLIGHTS
-        if path.is_file():
-            variants = json.loads((path.parent / "campaign.json").read_text(encoding="utf-8"))["variants"]
-            frames[name] = pl.read_parquet(path).with_columns(pl.col("variant").cast(pl.Enum(variants)))
-    if not frames:
-        raise ValueError(f"{results}: no study there; expected study_{SIZES}/{FLIGHTS} or another")
+    for name, frame in found.items():
+        variants = json.loads((results / name / "campaign.json").read_text(encoding="utf-8"))["variants"]
+        frames[name.removeprefix("study_")] = frame.cast({"variant": pl.Enum(variants)})
     return frames
 
 
@@ -41,4 +38,4 @@ def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
 
 if __name__ == "__main__":
     page, found = "robustness.md", {"--results": RESULTS}
-    sys.exit(run_study(page, lambda options: make(read_campaigns(options.results)), found))
+    sys.exit(run_study(page, lambda options: make(read_all(options.results)), found))

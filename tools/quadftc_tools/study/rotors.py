@@ -14,7 +14,7 @@ import polars as pl
 
 from quadftc_campaign.table import whole_flights
 from quadftc_tools.study.numbers import write_number, write_per_cent, write_times
-from quadftc_tools.study.page import FLIGHTS, NOTHING, RESULTS, Drawers, Tables, markdown, run_study
+from quadftc_tools.study.page import NOTHING, RESULTS, Drawers, Tables, markdown, read_campaigns, run_study
 
 NAMES = ("rotor_faults", "rotor_faults_healthy")
 JUDGED, PLAIN = "isolating", "undiagnosed"  # variants
@@ -113,13 +113,10 @@ def healthy_table(frame: pl.DataFrame) -> str:
 
 def make(results: Path) -> tuple[Tables, Drawers]:
     """Return the tables of the campaigns that are there; ValueError if there is none."""
-    tables = {
-        name.replace("_", "-"): write(pl.read_parquet(results / name / FLIGHTS))
-        for name, write in zip(NAMES, (fault_table, healthy_table), strict=True)
-        if (results / name / FLIGHTS).is_file()
-    }
-    if not tables:
-        raise ValueError(f"{results}: no study there; expected {NAMES[0]}/{FLIGHTS} or another")
+    frames, tables = read_campaigns(results, NAMES), dict[str, str]()
+    for name, write in zip(NAMES, (fault_table, healthy_table), strict=True):
+        if name in frames:
+            tables[name.replace("_", "-")] = write(frames[name])
     return tables, {}
 
 

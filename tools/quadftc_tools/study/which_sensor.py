@@ -23,7 +23,7 @@ from quadftc_tools.study.numbers import (
     write_per_cent,
     write_times,
 )
-from quadftc_tools.study.page import FLIGHTS, RESULTS, Drawers, Tables, markdown, run_study
+from quadftc_tools.study.page import RESULTS, Drawers, Tables, markdown, read_campaigns, run_study
 
 FAULTS = ("which_sensor", "which_sensor_observers")  # the second: some of these flights, by other observers
 NAMES = (*FAULTS, "which_sensor_healthy")
@@ -40,12 +40,9 @@ SENSORS = ("attitude", "gyro", "accelerometer")
 HEALTHY = ("", "flights", "any sensor declared", "lost", "largest error, 95 % / worst")
 
 
-def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
-    """Read the tables ``RESULTS/NAME/flights.parquet`` that are there; ValueError if there is none."""
-    paths = {name: results / name / FLIGHTS for name in NAMES}
-    frames = {name: pl.read_parquet(path) for name, path in paths.items() if path.is_file()}
-    if not frames:
-        raise ValueError(f"{results}: no study there; expected {NAMES[0]}/{FLIGHTS} or another")
+def read_all(results: Path) -> dict[str, pl.DataFrame]:
+    """Read the tables of the campaigns that are there; ValueError if there is none."""
+    frames = read_campaigns(results, NAMES)
     if all(name in frames for name in FAULTS):
         frames[FAULTS[1]] = side_by_side(*(frames[name] for name in FAULTS))
     return frames
@@ -153,4 +150,4 @@ def _number(value: Any) -> float | None:
 
 if __name__ == "__main__":
     page, found = "diagnosis.md", {"--results": RESULTS}
-    sys.exit(run_study(page, lambda options: make(read_campaigns(options.results)), found))
+    sys.exit(run_study(page, lambda options: make(read_all(options.results)), found))
