@@ -50,7 +50,7 @@ def flight(model, loss=lambda t: 0.0, count=1800, seed=1, gusts=0.5, torque=(4.0
         read, force = rate + MEMS[0] * rng.standard_normal(3), acts[3] + MEMS[1] * rng.standard_normal()
         if change is not None and index >= BEGIN:
             read, force = change((index - BEGIN) * DT, read, force)
-        seen = thrusts, read, np.float64(force), np.zeros(3), np.True_, thrusts
+        seen = thrusts, read, np.float64(force), np.zeros(3), np.True_, np.zeros(4, np.bool_), thrusts
         inputs.append(RotorInputs(*seen, measured=np.False_))
     return inputs
 
@@ -107,6 +107,21 @@ def test_rotor_that_loses_thrust_is_named_and_its_loss_measured(layout, size):
     assert abs(last.effectiveness[index] - (1.0 - size)) < 4.0 * last.std_dev[index] < 0.2
     assert last.onset_age[index] == pytest.approx(1.0, abs=0.03)
     assert FAULT_KINDS[last.kind[index]] == ("off" if size == 1.0 else "loss")
+
+
+@pytest.mark.parametrize("channel", [1, 2, 3])
+def test_rotor_is_named_by_what_is_left_where_a_sensor_is_faulty(channel):
+    lies = [*np.where(np.arange(3) == channel, 5.0, 0.0)], 10.0 * (channel == 3)
+
+    def lie(t, read, force):
+        return read + lies[0], force + lies[1]
+
+    inputs = flight(QUAD, one_rotor(QUAD, 2, 0.3), 1060, change=lie)
+    deaf = np.arange(4) == channel
+    inputs = [*inputs[:BEGIN], *(each._replace(faulty=deaf) for each in inputs[BEGIN:])]
+    faulty = named(diagnose(QUAD, inputs))
+    assert BEGIN <= np.argmax(faulty[:, 2]) < BEGIN + 25
+    assert not np.delete(faulty, 2, axis=1).any()
 
 
 def test_rotor_that_recovers_is_healthy_again():

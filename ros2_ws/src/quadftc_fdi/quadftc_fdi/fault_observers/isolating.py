@@ -322,7 +322,7 @@ class Isolating(Supervised):
         suspects = xp.concatenate([gyro.faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
         rotors, acts = rotor_watch.step_watch(
             *(state.rotors, vehicle, self.rotor_effects, inputs, inputs.rotors),
-            *(omega, turns, ~any_of(suspects)[..., 0], dt),
+            *(omega, turns, suspects, dt),
         )
         # what a suspect rotor may do is no evidence against a sensor, nor is a reading an outlier for it
         unknown = gyro.filter._replace(dd=larger(gyro.filter.dd, acts.turning))

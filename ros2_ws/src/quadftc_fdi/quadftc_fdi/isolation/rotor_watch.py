@@ -3,7 +3,7 @@ r"""The rotors among the other suspects of `isolating`: what they may do to gyro
 `rotor_diagnosis` judges the rotors by gyro and accelerometer, before these are judged. It is asked first, as
 a rotor that loses thrust looks like a jump of both. While a rotor is suspect, the unknown acceleration may be
 as large as what it gives: the sample is then no evidence against a sensor. Once it is named, torque and
-thrust are those that the rotors really give. While gyro or accelerometer are faulty, no rotor is judged.
+thrust are those that the rotors really give. An axis of a sensor that is faulty does not judge.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, lagged, thrusts_of
 from quadftc_model.arrays import (
     Array,
     Components,
-    Flag,
     Scalar,
     Vector,
     any_of,
@@ -59,7 +58,7 @@ def start_watch(vehicle: Vehicle, effects: Effects, imu: ImuSample, rotors: Roto
     """Start at a sample."""
     speeds = where(column(rotors.measured), rotors.speeds, rotors.command)
     known = namespace(imu.body_rate).zeros_like(imu.body_rate)
-    seen = _inputs(vehicle, imu, rotors, speeds, rotors.command, known, np.True_)
+    seen = _inputs(vehicle, imu, rotors, speeds, rotors.command, known, np.zeros(4, np.bool_))
     return RotorWatch(start_rotors(effects, seen), rotors.command, speeds)
 
 
@@ -71,13 +70,13 @@ def step_watch(
     rotors: RotorReading,
     rate: Vector,
     known: Vector,
-    healthy: Flag,
+    faulty: Array,
     dt: Scalar,
 ) -> tuple[RotorWatch, Acts]:
     """Advance by ``dt`` [s] to a sample; also return what the rotors give.
 
     ``rate`` is the gyro's, less its known errors [rad/s]; ``known`` the angular acceleration by all but the
-    rotors [rad/s²]; ``healthy``: neither gyro nor accelerometer were faulty.
+    rotors [rad/s²]; ``faulty``: axes of the gyro, and z of the accelerometer, that were (..., 4).
     """
     commanded = lagged(state.commanded, rotors.command, vehicle.rotors.time_constant, dt)
     speeds = where(column(rotors.measured), rotors.speeds, commanded)
@@ -85,7 +84,7 @@ def step_watch(
     known = known + swirl / vehicle.inertia
     imu = inputs.imu._replace(body_rate=rate)
     monitor = step_rotors(
-        state.monitor, effects, _inputs(vehicle, imu, rotors, speeds, commanded, known, healthy), dt
+        state.monitor, effects, _inputs(vehicle, imu, rotors, speeds, commanded, known, faulty), dt
     )
     acts = _acting(monitor, state.monitor.thrusts, vehicle, effects, inputs, rotors, swirl)
     return RotorWatch(monitor, commanded, speeds), acts
@@ -142,12 +141,12 @@ def _inputs(
     speeds: Components,
     commanded: Components,
     known: Vector,
-    healthy: Flag,
+    faulty: Array,
 ) -> RotorInputs:
-    usable = imu.rate_valid & imu.force_valid & healthy
+    usable = imu.rate_valid & imu.force_valid
     thrusts, wanted = thrusts_of(vehicle, speeds), thrusts_of(vehicle, commanded)
     force = imu.specific_force[..., 2]
-    return RotorInputs(thrusts, imu.body_rate, force, known, usable, wanted, rotors.measured)
+    return RotorInputs(thrusts, imu.body_rate, force, known, usable, faulty, wanted, rotors.measured)
 
 
 def _wrench(vehicle: Vehicle, thrusts: Components) -> Array:

@@ -54,7 +54,7 @@ FAR = 14.0  # 1; what a rotor may leave of a residual, in variances: chi-squared
 SUSPECT, ALARM = 16.0, 36.0  # 1; of l
 SHY, SMALLEST, LARGEST = 0.02, 0.05, 1.6  # 1; losses that are suspect, that are named, that cannot be
 LEAD = 2.0 * math.log(19.0)  # 1; by which one rotor explains a residual better than another: 95 %
-NEVER = 1e9  # 1; a rest that explains nothing
+NEVER = 1e9  # a rest, a variance that explains nothing
 
 
 class Residuals(NamedTuple):
@@ -81,7 +81,7 @@ class Judged(NamedTuple):
 
     evidence: Evidence
     deviation: Array  # D (..., K, 4)
-    variance: Array  # of D without a fault (..., K, 4)
+    variance: Array  # of D without a fault (..., K, 4); `NEVER` where the sensor is faulty
 
 
 def start_residuals(effects: Effects, thrusts: Array) -> Residuals:
@@ -101,17 +101,19 @@ def average(state: Residuals, residual: Array, thrusts: Array, losses: Array, dt
     return state._replace(mean=state.mean + gains * (news[..., None, :] - state.mean))
 
 
-def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array, measured: Flag) -> Judged:
+def judge(
+    state: Residuals, effects: Effects, faulty: Array, std_dev: Array, deaf: Array, measured: Flag
+) -> Judged:
     """Judge the rotors that are not ``faulty``; ``std_dev`` is that of the losses of those (..., n).
 
-    ``measured``: thrusts are those of measured speeds.
+    ``deaf``: channels (..., 4) whose sensor is faulty. ``measured``: thrusts are those of measured speeds.
     """
     n, mean = faulty.shape[-1], state.mean
     thrusts, lost = mean[..., 4 : 4 + n], mean[..., 4 + n :]  # (..., K, n)
     model = thrusts @ effects.columns
     deviation = mean[..., :4] - state.usual[..., None, :] + lost @ effects.columns
     fast = UNSURE * (model - model[..., -1:, :])
-    variance = state.variance + fast * fast
+    variance = where(deaf[..., None, :], NEVER, state.variance + fast * fast)
     # known losses may be otherwise
     unsure = (KNOWN * lost) ** 2 + (thrusts * std_dev[..., None, :]) ** 2
     unsure = where(column(any_of(faulty)), unsure @ (effects.columns * effects.columns), 0.0)

@@ -73,7 +73,8 @@ class RotorInputs(NamedTuple):
     rate: Vector  # of the gyro, less its known bias [rad/s]
     force: Scalar  # specific force along body z [m/s²]
     known: Vector  # angular acceleration of other known causes: the body's rotation, drag [rad/s²]
-    usable: Flag  # gyro and accelerometer are there, and healthy
+    usable: Flag  # gyro and accelerometer are there
+    faulty: Array  # bool (..., 4): channels of the residual whose sensor is faulty, which say nothing
     wanted: Array  # thrusts that the lagged commands ask for (..., n)
     measured: Flag  # the thrusts are those of measured speeds
 
@@ -100,10 +101,11 @@ def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: 
     used = inputs.usable & state.fresh & _carried(effects, thrusts)
     residual = _residual(state, effects, inputs, used, dt)
     seen = evidence.average(state.residuals, residual, thrusts, state.losses.mean, dt)
-    judged = evidence.judge(seen, effects, named, losses.std_dev_of(state.losses), inputs.measured)
+    std_dev, deaf = losses.std_dev_of(state.losses), inputs.faulty
+    judged = evidence.judge(seen, effects, named, std_dev, deaf, inputs.measured)
     suspect = judged.evidence.suspect
     busy = suspect | named | (state.suspected > 0.0) | state.unsure
-    calm = used * ~named.any(axis=-1) * where(suspect.any(axis=-1), DOUBTED, 1.0)
+    calm = used * ~named.any(axis=-1) * ~deaf.any(axis=-1) * where(suspect.any(axis=-1), DOUBTED, 1.0)
     state = state._replace(
         residuals=evidence.learn(seen, effects, judged.deviation, calm, dt),
         rate=where(column(inputs.usable), inputs.rate, state.rate),
@@ -111,11 +113,13 @@ def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: 
         fresh=inputs.usable,
         likely=judged.evidence.likely,
     )
-    state = branch(busy.any(axis=-1), lambda: _decide(state, effects, judged, used, dt), lambda: state)
+    state = branch(busy.any(axis=-1), lambda: _decide(state, effects, judged, used, deaf, dt), lambda: state)
     return chosen(inputs.measured, _compare(state, effects, inputs.wanted, thrusts, dt), state)
 
 
-def _decide(state: RotorMonitor, effects: Effects, judged: Judged, used: Flag, dt: Scalar) -> RotorMonitor:
+def _decide(
+    state: RotorMonitor, effects: Effects, judged: Judged, used: Flag, deaf: Array, dt: Scalar
+) -> RotorMonitor:
     """Name rotors by the evidence, and follow those that are named."""
     found, ready = judged.evidence, column(used & (state.residuals.learned > NEEDED))
     suspected = (state.suspected + dt) * (found.suspect & ready)
@@ -123,7 +127,7 @@ def _decide(state: RotorMonitor, effects: Effects, judged: Judged, used: Flag, d
     state = state._replace(suspected=suspected, blamed=blamed)
     state = _name(state, (blamed > HOLD) & ~state.named, found)
     change = evidence.change_of(state.residuals, effects, judged)
-    state = _follow(state, effects, change, used, dt)
+    state = _follow(state, effects, change, used, deaf, dt)
     changing = state.named & ((state.age < NEW) | (change > losses.JUMPED))
     return state._replace(unsure=(suspected > 0.0) | changing)
 
@@ -168,7 +172,7 @@ def _residual(state: RotorMonitor, effects: Effects, inputs: RotorInputs, used: 
     pushed = column(inputs.force) - now @ effects.columns[:, 3:]
     residual = namespace(turned).concatenate([turned, pushed], axis=-1)
     lost = (now * state.losses.mean) @ effects.columns
-    return where(column(used), residual, state.residuals.usual - lost)
+    return where(column(used) & ~inputs.faulty, residual, state.residuals.usual - lost)
 
 
 def _name(state: RotorMonitor, new: Array, found: Evidence) -> RotorMonitor:
@@ -190,10 +194,12 @@ def _name(state: RotorMonitor, new: Array, found: Evidence) -> RotorMonitor:
     )
 
 
-def _follow(state: RotorMonitor, effects: Effects, change: Array, used: Flag, dt: Scalar) -> RotorMonitor:
+def _follow(
+    state: RotorMonitor, effects: Effects, change: Array, used: Flag, deaf: Array, dt: Scalar
+) -> RotorMonitor:
     """Estimate the losses of the rotors that are named, and acquit who has recovered."""
     counts = state.named & column(used)
-    lost = losses.correct_losses(state.losses, state.residuals, effects, counts, change, dt)
+    lost = losses.correct_losses(state.losses, state.residuals, effects, counts, change, deaf, dt)
     small = larger(CERTAIN * losses.std_dev_of(lost), WEAK)
     calm = (state.calm + dt * counts) * (state.named & (lost.mean < small) & (small < 0.15))
     back = calm > RECOVERED
