@@ -37,6 +37,7 @@ CHECKED = [  # scenario, scheme
     ("mems_constant_disturbance", "supervised"),
     ("gyro_faults", "isolating"),
     ("gyro_faults", "supervised"),
+    ("successive_faults", "isolating"),
 ]
 LARGEST = ([0.0, 0.0, 0.0], [0.05, 0.04, 0.015], [0.10, 0.08, 0.03])  # N m; disturbances of each
 
