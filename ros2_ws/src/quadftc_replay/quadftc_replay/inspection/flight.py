@@ -122,12 +122,21 @@ def _crash(log: FlightLog, impacts: Floats, start: float) -> float | None:
 
 
 def rotor_level(log: FlightLog) -> Signal | None:
-    """Return what lifts the vehicle, (n, 1), of rotors or thrust command; None: not logged."""
-    if log.rotor_speeds is not None and len(log.rotor_speeds) > 1:
-        return Signal(log.rotor_speeds.time, row_means(log.rotor_speeds.value**2))
-    if log.rotor_commands is not None and len(log.rotor_commands) > 1:
-        return Signal(log.rotor_commands.time, row_means(log.rotor_commands.value))
-    return log.thrust_command if log.thrust_command is not None and len(log.thrust_command) > 1 else None
+    """Return what lifts the vehicle, (n, 1): the first of speeds, commands and thrust that is fast enough.
+
+    None: none is logged. Where all are slow, it is the fastest.
+    """
+    speeds, commands, thrust = (
+        None if each is None or len(each) < 2 else each
+        for each in (log.rotor_speeds, log.rotor_commands, log.thrust_command)
+    )
+    levels = [
+        *([] if speeds is None else [Signal(speeds.time, row_means(speeds.value**2))]),
+        *([] if commands is None else [Signal(commands.time, row_means(commands.value))]),
+        *([] if thrust is None else [thrust]),
+    ]
+    fast = (each for each in levels if each.rate * SMOOTH > 1.0)
+    return next(fast, max(levels, key=lambda each: each.rate, default=None))
 
 
 def row_means(values: Floats) -> Floats:
