@@ -131,9 +131,12 @@ class _Reading:
         """Columns of all messages, of all instances together in the order of the lines."""
         found: dict[str, dict[str, NDArray[np.generic]]] = {}
         for name, tables in self._tables.items():
-            each = [table.columns() for table in tables.values()]
+            whole = [table for table in tables.values() if table.lines]  # others have damaged rows alone
+            if not whole:
+                continue
+            each = [table.columns() for table in whole]
             shared = [field for field in each[0] if all(field in columns for columns in each)]
-            order = np.argsort(np.concatenate([np.array(table.lines) for table in tables.values()]))
+            order = np.argsort(np.concatenate([np.array(table.lines) for table in whole]))
             found[name.decode()] = {
                 field: np.concatenate([columns[field] for columns in each])[order] for field in shared
             }

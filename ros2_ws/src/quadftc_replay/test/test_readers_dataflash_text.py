@@ -96,6 +96,14 @@ def test_damaged_lines_are_left_out(tmp_path):
     assert 0.8 * COUNT < len(log.gyros[""]) <= COUNT
 
 
+@pytest.mark.parametrize(("line", "harmed"), [("IMU, ", "IMU, x"), ("ATT, ", "ATT, x")])
+def test_message_with_no_good_line_is_left_out(tmp_path, line, harmed):
+    path = tmp_path / "flight.log"
+    path.write_text(written().replace(line, harmed))
+    log = read_log(path)
+    assert (len(log.gyros) == 0, log.attitude is None) == (line == "IMU, ", line == "ATT, ")
+
+
 def test_long_log_is_thinned(tmp_path, monkeypatch):
     path = tmp_path / "flight.log"
     path.write_text(written())
