@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.bank.modes import AXIS, MODES, PRIOR, PUSH, RATE, pattern
-from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, STATES, THETA, D, Gains
+from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, SMALL, STATES, THETA, D, Gains
 from quadftc_fdi.bank.noise import MEMORY
 from quadftc_model.arrays import (
     Array,
@@ -40,24 +40,19 @@ from quadftc_model.arrays import (
     where,
 )
 
-SPACING, SLOTS = (
-    (0.004, 0.04, 0.25),
-    (9, 12, 11),
-)  # s, 1; how often a ring takes an onset, and how many it has
+SPACING = (0.004, 0.04, 0.25)  # s; chosen: how often each ring takes an onset
+SLOTS = (9, 12, 11)  # 1; chosen: how many onsets each ring has, 32 in all
 RING = np.repeat(np.arange(3), SLOTS)
 FIRST = np.cumsum((0, *SLOTS))
 OF_GYRO, OF_ATTITUDE = range(2)  # channels
 TESTS = (slice(3, 6), slice(0, 3))  # modes that test a channel: of the gyro, of the attitude
-DOUBT, SETTLE, CLIP = (
-    1.5,
-    1.0,
-    3.0,
-)  # 1, s, 1; temper at the start; what that is worth; bound of what is learned
-NEVER, LOWEST = -1.0, -1e9  # s; age of a slot without an onset, and its log weight
-USUAL = (
-    np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
-)  # log of the prior: rate times what a slot covers
-SMALL = 1e-12  # 1; of a determinant over its product, lost to rounding
+DOUBT = 1.5  # 1; chosen: temper at the start
+SETTLE = 1.0  # s; chosen: for how long learned tempers count less than that
+CLIP = 3.0  # 1; chosen: most that a sample says, over what was learned
+NEVER = -1.0  # s; mark: age of a slot without an onset
+LOWEST = -1e9  # 1; mark: log weight of such a slot
+# log of the prior: rate times what a slot covers
+USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 
 
 class Bank(NamedTuple):
@@ -117,12 +112,12 @@ def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
     due = since >= np.array(SPACING) - 1e-6
     age = where(state.age >= 0.0, state.age + column(column(dt)), NEVER)
     oldest = age.max(axis=-2)
-    keep = where(oldest >= 0.0, larger(worth, 0.0) - 1e-3 * oldest, LOWEST)
+    keep = where(oldest >= 0.0, larger(worth, 0.0) - 1e-6 * oldest, LOWEST)
     new: list[Array] = []
     for ring in range(len(SLOTS)):
         row = keep[..., FIRST[ring] : FIRST[ring + 1]]
         least = row == row.min(axis=-1, keepdims=True)
-        new.append(least & (xp.cumsum(1.0 * least, axis=-1) < 1.5) & due[..., ring : ring + 1])
+        new.append(least & (xp.cumsum(1.0 * least, axis=-1) <= 1.0) & due[..., ring : ring + 1])
     fresh = xp.concatenate(new, axis=-1)[..., None, :]
     jump = np.zeros((STATES, 3, 2, MODES, 1))
     jump[D, :, 0, :, 0] = pattern(PUSH)

@@ -21,16 +21,22 @@ class Kind(NamedTuple):
     component: str
     is_fault: bool
     size: float  # standard deviation of b [rad, rad/s, rad/s²]
-    slope: float  # of s, per second; of a push it is not used
+    slope: float  # of s, per second; a push has none
     rate: float  # per flight hour and axis
 
 
-# Sizes, slopes and rates are chosen: what one would bet on before a flight. An attitude sensor seldom creeps.
-# The slope of the attitude decides who is blamed for a slow discrepancy. A push may be a gust front as well.
+# what one would bet on before a flight
+FAULTS = 0.1  # 1/h; chosen: of a sensor, on each axis
+PUSHES = 100.0  # 1/h; chosen: on each axis, and gust fronts
+ATTITUDE_SIZE = math.radians(5.0)  # rad; chosen: what a sensor jumps
+ATTITUDE_SLOPE = 0.03  # rad/s; chosen: seldom creeps; decides who is blamed for a slow discrepancy
+GYRO_SIZE = 0.3  # rad/s; chosen: what a sensor jumps
+GYRO_SLOPE = 0.3  # rad/s²; chosen: fast drift
+PUSH_SIZE = 10.0  # rad/s²; chosen: collision, gust
 KINDS = (
-    Kind("attitude", True, math.radians(5.0), 0.03, 0.1),
-    Kind("gyro", True, 0.3, 0.3, 0.1),
-    Kind("push", False, 10.0, 1e-3, 100.0),
+    Kind("attitude", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),
+    Kind("gyro", True, GYRO_SIZE, GYRO_SLOPE, FAULTS),
+    Kind("push", False, PUSH_SIZE, 1, PUSHES),
 )
 MODES = 3 * len(KINDS)
 AXIS = np.tile(np.arange(3), len(KINDS))

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank.noise import Noise
+from quadftc_fdi.bank.noise import SEVERAL, Noise
 from quadftc_model.arrays import (
     Array,
     Flag,
@@ -37,7 +37,6 @@ from quadftc_model.arrays import (
     larger,
     namespace,
     norm,
-    smaller,
     stacked,
     where,
 )
@@ -45,18 +44,17 @@ from quadftc_model.rotations import rotation_between, turn
 from quadftc_model.samples import MAX_BODY_RATE
 
 THETA, BETA, OMEGA, D, SCALE, LAG, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8
-CORRELATED = 1.0  # s; T
-WALK = math.radians(0.003)  # rad/s/sqrt(s); of the gyro's bias
-BIAS, SCALES, LAGS = math.radians(2.0), 0.01, 0.01  # rad/s, 1, s; what MEMS gyros and attitudes start with
-SMEAR, JITTER = 0.005, 0.001  # 1, s; errors of an attitude over the rate: one wanders over 1 s, one is white
-LOUD = 40.0  # 1; square of an innovation over its variance, at most: noise has tails
-PATIENT, LOUDER, MOST = (
-    3.0,
-    math.log(4.0),
-    12.0,
-)  # 1; after so many loud readings in a row, fourfold with each
-SMALL = 1e-12  # rad², rad²/s²; of rounding
-UNDRIVEN = 100.0  # rad/s²; acceleration where no torque is known
+CORRELATED = 1.0  # s; chosen: T, as gusts last
+WALK = math.radians(0.003)  # rad/s/√s; chosen: of the bias of a MEMS gyro
+BIAS = math.radians(2.0)  # rad/s; chosen: of a MEMS gyro at the start
+SCALES = 0.01  # 1; chosen: scale and alignment of a MEMS gyro
+LAGS = 0.01  # s; chosen: lag of an attitude
+SMEAR = 0.005  # 1/√s; chosen: error of an attitude over the rate that wanders
+JITTER = 0.001  # s; chosen: error of an attitude over the rate that is white
+LOUD = 40.0  # 1; chosen: largest square of an innovation over its variance: noise has tails
+LOUDER = math.log(4.0)  # 1; chosen: fourfold with each after several loud ones in a row
+SMALL = 1e-12  # 1; rounding: rad², rad²/s², or of a determinant over its product
+UNDRIVEN = 100.0  # rad/s²; chosen: acceleration where no torque is known
 
 
 class Motion(NamedTuple):
@@ -160,9 +158,9 @@ def _correct(
     state: Motion, sensor: int, innovation: Vector, across: Array, variance: Vector, used: Mask
 ) -> tuple[Motion, Gains]:
     loud = state.loud[..., sensor, :]
-    bound = innovation * innovation / (LOUD * exp(LOUDER * larger(loud - PATIENT, 0.0)))
+    bound = innovation * innovation / (LOUD * exp(LOUDER * larger(loud - SEVERAL, 0.0)))
     variance = larger(variance, SMALL)
-    louder = where(bound > variance, smaller(loud + 1.0, MOST), larger(loud - 1.0, 0.0))
+    louder = where(bound > variance, loud + 1.0, larger(loud - 1.0, 0.0))
     own = np.eye(2)[sensor][:, None] * column(used).swapaxes(-1, -2)
     variance = larger(variance, bound)
     gain = where(column(used), across / column(variance), 0.0)

@@ -31,14 +31,21 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.rotations import rotation_between, turn
 
-LONG, LONGER = 0.04, 0.2  # s; the longer lag of gyro and attitude: some samples, below the motion's period
-MEMORY = 20.0  # s; of what is learned
-PRIOR = 0.25  # s; what the values at the start are worth
-NEWS = 2.0  # 1; what news count more than in a mean
-LOOSE, TIGHT = 100.0, 9.0  # 1; bounds of squares over their mean, of the gyro and of the attitude
-GYRO, UNKNOWN, ATTITUDE = 0.005, 1.0, math.radians(0.1)  # rad/s, rad/s², rad; at the start
-LEAST_GYRO, LEAST_UNKNOWN = 1e-4, 0.1  # rad/s, rad/s²
-LEAST_ATTITUDE, LEAST_WANDER = math.radians(0.05), math.radians(0.005)  # rad, rad/sqrt(s); of any sensor
+SEVERAL = 3.0  # 1; chosen: readings in a row that are loud, repeated or missing, and no chance
+LONG = 0.04  # s; chosen: longer lag of the gyro: some samples, below the motion's period
+LONGER = 0.2  # s; chosen: the same of the attitude
+MEMORY = 20.0  # s; chosen: of what is learned
+PRIOR = 0.25  # s; chosen: what the values at the start are worth
+NEWS = 2.0  # 1; chosen: what news count more than in a mean
+LOOSE = 100.0  # 1; chosen: largest square over the mean of squares, gyro
+TIGHT = 9.0  # 1; chosen: the same of the attitude: three sigma
+GYRO = 0.005  # rad/s; chosen: white noise at the start
+UNKNOWN = 1.0  # rad/s²; chosen: unknown acceleration at the start
+LEAST_GYRO = 1e-4  # rad/s; chosen: white noise of any sensor
+LEAST_UNKNOWN = 0.1  # rad/s²; chosen: unknown acceleration of any vehicle
+LEAST_ATTITUDE = math.radians(0.05)  # rad; chosen: white noise of any sensor
+ATTITUDE = 2.0 * LEAST_ATTITUDE  # rad; white noise at the start
+LEAST_WANDER = math.radians(0.005)  # rad/√s; chosen: of any attitude against any gyro
 
 
 class Noise(NamedTuple):
@@ -150,8 +157,7 @@ def noise_of(state: Learning) -> Noise:
     gyro, attitude = state.gyro, state.attitude
     white, still = larger(gyro.near / 6.0, LEAST_GYRO**2), larger(attitude.near / 2.0, LEAST_ATTITUDE**2)
     unknown = larger((gyro.far - 2.0 * white) / gyro.lag, LEAST_UNKNOWN**2)
-    doubt = (
-        2.0 * (2.0 * still) * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
-    )  # two sigma of a mean of squares
+    # two sigma of a mean of squares
+    doubt = 2.0 * (2.0 * still) * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
     wander = larger((attitude.far - 2.0 * still - doubt) / attitude.lag, LEAST_WANDER**2)
     return Noise(white, unknown, still, wander)

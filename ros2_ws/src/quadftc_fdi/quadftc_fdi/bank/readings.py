@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.bank.noise import MEMORY
+from quadftc_fdi.bank.noise import MEMORY, SEVERAL
 from quadftc_model.arrays import (
     Flag,
     Mask,
@@ -22,12 +22,12 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.samples import UNUSABLE
 
-SAME = 1e-3  # 1; a reading that changes by less, over its usual change, is repeated
-CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading at first; log of a chance that is none
-COARSE, LIKELY = 10.0, 0.7  # 1; chance of a repeated reading by its grain, over its usual change; at most
-LONG_RUN = 2.0  # 1; repetitions beyond which a run teaches nothing
-SILENT = 3.0  # 1; samples without a reading that are a fault
-HELD = 0.3  # s; for which readings must come, and change, until they count as such
+SAME = 1e-3  # 1; chosen: change over the usual change below which a reading is repeated
+CHANCE = 0.01  # 1; chosen: of a repeated reading, at first; squared, at least
+RARE = math.log(1e-7)  # 1; chosen: log of a chance that is none
+COARSE = 10.0  # 1; chosen: chance of a repeated reading over its grain and usual change
+LIKELY = 0.7  # 1; chosen: of a repeated reading, at most
+BACK = 0.3  # s; chosen: for which a sensor must look healthy to be believed again
 
 
 class Readings(NamedTuple):
@@ -55,13 +55,13 @@ def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, d
     present = column(there)
     change = abs(reading - state.last)
     same = present & (change <= SAME * sqrt(usual))
-    learns = (dt / MEMORY) * (present & (state.repeats <= LONG_RUN))
+    learns = (dt / MEMORY) * (present & (state.repeats < SEVERAL))
     new = present & ~same
     by_grain = smaller(COARSE * state.grain / sqrt(usual), LIKELY)
     chance = state.chance + learns * (same - state.chance)
     repeats = where(present, (state.repeats + 1.0) * same, state.repeats)
     missing, seen = (state.missing + 1.0) * ~present, state.seen | present
-    repeated = repeats * log(clip(larger(chance, by_grain), 1e-4, 0.99)) < RARE
+    repeated = repeats * log(clip(larger(chance, by_grain), CHANCE**2, LIKELY)) < RARE
     return Readings(
         last=where(new, reading, state.last),
         repeats=repeats,
@@ -69,8 +69,8 @@ def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, d
         missing=missing,
         grain=where(new, smaller(state.grain, change), state.grain),
         seen=seen,
-        absent=where(seen & (missing >= SILENT), HELD, larger(state.absent - dt, 0.0)),
-        stuck=where(repeated, HELD, larger(state.stuck - dt, 0.0)),
+        absent=where(seen & (missing >= SEVERAL), BACK, larger(state.absent - dt, 0.0)),
+        stuck=where(repeated, BACK, larger(state.stuck - dt, 0.0)),
         silence=(state.silence + dt) * ((state.absent > 0.0) | (state.stuck > 0.0) | ~new),
     )
 

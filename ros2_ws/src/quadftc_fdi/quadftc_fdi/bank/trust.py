@@ -13,6 +13,8 @@ import numpy as np
 from quadftc_fdi.bank import inference, modes
 from quadftc_fdi.bank.inference import Bank, Posterior
 from quadftc_fdi.bank.motion import BETA, STATES, WALK, Gains, Motion, moved_by
+from quadftc_fdi.bank.noise import TIGHT
+from quadftc_fdi.bank.readings import BACK
 from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_model.arrays import (
     Array,
@@ -20,7 +22,6 @@ from quadftc_model.arrays import (
     Mask,
     Scalar,
     Vector,
-    clip,
     column,
     exp,
     larger,
@@ -31,13 +32,14 @@ from quadftc_model.arrays import (
     where,
 )
 
-FAULTY_WALK = 0.1  # rad/s/sqrt(s); of the bias of a gyro that is not believed, at least
-BACK = 0.3  # s; for which a gyro's bias must be what it was
-AGREES, SOON = 1.0, 0.05  # s; for which an attitude must agree, and after a jump back
-SEEN = 12.0  # 1; log-likelihood from which a jump back was seen: it has a prior of 1e-3 a sample
-AVERAGE = 0.02  # s; over which the size of a fault of the attitude and jumps of a gyro are averaged
-LARGEST = 1.0  # rad/s; jump of a gyro that counts, at most
-BOUND = 20.0  # 1; log-likelihood of a single reading, at most
+FAULTY_WALK = 0.1  # rad/s/√s; chosen: least walk of the bias of a gyro that is not believed
+AGREES = 1.0  # s; chosen: for which an attitude must agree with the motion
+SOON = 0.05  # s; chosen: the same after a jump back
+SEEN = 12.0  # 1; derived: log-likelihood of a jump back, by 99 % and a prior of 1e-3 a sample
+AVERAGE = 0.02  # s; chosen: over which sizes of attitude faults and jumps of gyros are averaged
+NEAR = 4.0  # 1; chosen: square of a gyro's bias over its variance that is as before: two sigma
+SPREAD = 1.2  # 1; chosen: variance of a faulty attitude about its size, over its noise
+LARGEST = 1.0  # rad/s; chosen: largest jump of a gyro that counts
 
 
 class Trust(NamedTuple):
@@ -102,7 +104,7 @@ def watch_gyro(
     size = motion.bias - usual
     square = where(seen.used, smaller(seen.innovation**2, LARGEST**2), state.evidence)
     jumps = state.evidence + (1.0 - exp(-dt / AVERAGE)) * (square - state.evidence)
-    agrees = (size * size < 4.0 * motion.covariance[..., BETA, BETA]) & (jumps < 9.0 * noise)
+    agrees = (size * size < NEAR * motion.covariance[..., BETA, BETA]) & (jumps < TIGHT * noise)
     calm = where(named, 0.0, (state.calm + dt) * agrees)
     faulty = (state.faulty | named) & (calm < BACK)
     return _kept(faulty, where(begins, column(age), state.age + dt), size, usual, jumps, calm)
@@ -123,14 +125,14 @@ def watch_attitude(
     Its fault is over when it was seen to jump back, or when it has agreed for long.
     """
     begins, present = named & ~state.faulty, column(there)
-    news, spread = off - state.size, 1.2 * noise
+    news, spread = off - state.size, SPREAD * noise
     fits, goes_on = off * off / variance, news * news / spread
-    ratio = clip(0.5 * (goes_on - fits - log(variance / spread)), -BOUND, BOUND)
+    ratio = 0.5 * (goes_on - fits - log(variance / spread))
     size = where(begins, off, state.size + (1.0 - exp(-dt / AVERAGE)) * news * present)
     peak = where(begins, abs(off), larger(state.other, abs(size)))
-    agrees = present & ~begins & (fits < 9.0) & ((abs(size) < 0.5 * peak) | (size * size < variance))
+    agrees = present & ~begins & (fits < TIGHT) & ((abs(size) < 0.5 * peak) | (size * size < variance))
     # a reading that agrees for other reasons tells nothing new with each sample: jumps alone count
-    evidence = where(fits < 9.0, state.evidence + ratio * (present & (goes_on > 9.0)), 0.0)
+    evidence = where(fits < TIGHT, state.evidence + ratio * (present & (goes_on > TIGHT)), 0.0)
     calm = (state.calm + dt) * agrees
     over = (calm > AGREES) | ((calm > SOON) & (evidence > SEEN))
     faulty = (state.faulty | named) & ~over

@@ -51,8 +51,7 @@ from quadftc_model.samples import (
 )
 
 OFFSET, STUCK, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "absent"))
-VAGUE = 100.0  # rad, rad/s; largest standard deviation that is said
-COMMITS = 1e-6  # 1; doubt at which a push is taken for true: it hides what began with it
+COMMITS = 1e-6  # 1; chosen: doubt at which a push is taken for true: it hides what began with it
 
 
 class State(NamedTuple):
@@ -260,7 +259,7 @@ class BankObserver(FaultObserver):
         return SensorEstimate(
             where(declared, faulty, suspect).astype(xp.uint8),
             where(state.faulty & ~seen.there, state.size, where(declared & ~absent, seen.off, 0.0)),
-            smaller(sqrt(seen.variance), VAGUE),
+            smaller(sqrt(seen.variance), samples.MAX_BODY_RATE),
             where(declared, age, -1.0),
             where(certain, 1.0, seen.mine),
             where(declared, kind, 0).astype(xp.uint8),
