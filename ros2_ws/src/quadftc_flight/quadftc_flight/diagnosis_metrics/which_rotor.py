@@ -2,7 +2,7 @@
 
 A rotor is *named* when the diagnosis declares it faulty (FAULTY, RECOVERING) and not ambiguous. It is
 *misnamed* time in which a healthy rotor or a healthy sensor is named. The confusion matrix holds the kinds of
-components against each other: nothing, a sensor or a rotor is faulty. Every metric: docs/rotors.md.
+components against each other: nothing, a sensor or a rotor is faulty. See docs/rotors.md, section 4.
 """
 
 from __future__ import annotations
