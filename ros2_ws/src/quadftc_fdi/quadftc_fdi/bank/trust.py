@@ -12,7 +12,7 @@ import numpy as np
 
 from quadftc_fdi.bank import inference, modes
 from quadftc_fdi.bank.inference import Bank, Posterior
-from quadftc_fdi.bank.motion import BETA, STATES, WALK, Gains, Motion, moved_by
+from quadftc_fdi.bank.motion import BETA, CORRELATED, STATES, WALK, Gains, Motion, moved_by
 from quadftc_fdi.bank.noise import TIGHT
 from quadftc_fdi.bank.readings import BACK
 from quadftc_fdi.fault_observer import SHORTEST
@@ -33,7 +33,7 @@ from quadftc_model.arrays import (
 )
 
 FAULTY_WALK = 0.1  # rad/s/√s; chosen: least walk of the bias of a gyro that is not believed
-AGREES = 1.0  # s; chosen: for which an attitude must agree with the motion
+AGREES = CORRELATED  # s; for which an attitude must agree with the motion: longer than a gust lasts
 SOON = 0.05  # s; chosen: the same after a jump back
 SEEN = 12.0  # 1; derived: log-likelihood of a jump back, by 99 % and a prior of 1e-3 a sample
 AVERAGE = 0.02  # s; chosen: over which sizes of attitude faults and jumps of gyros are averaged
