@@ -145,13 +145,13 @@ def _read_file(stream: BinaryIO) -> Iterator[Record]:
         offset = stream.tell()
         head = stream.read(_HEAD.size)
         opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (_NONE, 0)
+        if opcode == _NONE or length > size - stream.tell():
+            span_ns = _chunk_span(opcode, stream.read(_CHUNK_SPAN.size))
+            yield Damage(offset, size - offset, True, is_index or opcode == Opcode.FOOTER, span_ns)
+            return
         if opcode == Opcode.FOOTER:
             if stream.read(length + len(MCAP0_MAGIC) + 1)[length:] != MCAP0_MAGIC:
                 yield Damage(offset, size - offset, True, True, None)
-            return
-        if opcode == _NONE or length > size - stream.tell():
-            span_ns = _chunk_span(opcode, stream.read(_CHUNK_SPAN.size))
-            yield Damage(offset, size - offset, True, is_index, span_ns)
             return
         if opcode not in (Opcode.CHUNK, Opcode.MESSAGE, *_READERS):
             stream.seek(length, os.SEEK_CUR)

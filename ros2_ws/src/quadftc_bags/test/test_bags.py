@@ -326,6 +326,12 @@ def test_damaged_chunk_ends_the_reading(chunked_file):
     assert list(bag.series("/v")["vector"][:, 0]) == list(range(count))
 
 
+def test_footer_that_is_larger_than_the_file_is_damage(chunked_file):
+    at = len(chunked_file) - 36  # behind its opcode
+    bag = read_bytes(chunked_file[:at] + struct.pack("<Q", 2**63) + chunked_file[at + 8 :])
+    assert (bag.truncated, bag.topics["/v"].count) == (True, 500)
+
+
 def test_file_without_chunks_is_read(tmp_path):
     path = tmp_path / "plain.mcap"
     with path.open("wb") as stream:
