@@ -25,7 +25,8 @@ from quadftc_replay.readers import LogChoice, read_log
 from quadftc_tools.attack.command import BEGIN, END, count_tests
 from quadftc_tools.attack.flight_table import TEXTS, hover, spoiled, spoils
 from quadftc_tools.attack.logs import MAPPING, WRITERS, blackbox
-from quadftc_tools.attack.table import ATTACKS, LONG
+from quadftc_tools.attack.table import ATTACKS, EIGHT_HOURS, LONG
+from quadftc_tools.soak.endurance_flight import scenario_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers that overflow on the way
 EXAMPLES = settings().max_examples // 4  # 10; with --examples 4000 a thousand
@@ -199,3 +200,8 @@ def test_documented_attacks_are_those_of_the_command():
     assert {*named} <= {(attack.who, attack.what) for attack in ATTACKS + LONG}
     held = [row.split("|")[3:5] for row in rows]
     assert all(int(trials) >= int(good) > 0 for trials, good in held)
+
+
+def test_long_flights_are_such_as_a_scenario_may_have():
+    asked = dict(zip(EIGHT_HOURS[1::2], EIGHT_HOURS[2::2], strict=True))
+    assert scenario_of(250.0, float(asked["--length"]), 1).duration == float(asked["--length"])
