@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.bank.modes import AXIS, MODES, PRIOR, PUSH, RATE, pattern
-from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, SMALL, STATES, THETA, D, Gains
-from quadftc_fdi.bank.noise import MEMORY
+from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, STATES, THETA, D, Gains
+from quadftc_fdi.bank.noise import MEMORY, SMALL
 from quadftc_model.arrays import (
     Array,
     Mask,

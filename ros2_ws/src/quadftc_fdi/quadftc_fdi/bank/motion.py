@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank.noise import SEVERAL, Noise
+from quadftc_fdi.bank.noise import SEVERAL, SMALL, Noise
 from quadftc_model.arrays import (
     Array,
     Flag,
@@ -53,7 +53,6 @@ SMEAR = 0.005  # 1/√s; chosen: error of an attitude over the rate that wanders
 JITTER = 0.001  # s; chosen: error of an attitude over the rate that is white
 LOUD = 40.0  # 1; chosen: largest square of an innovation over its variance: noise has tails
 LOUDER = math.log(4.0)  # 1; chosen: fourfold with each after several loud ones in a row
-SMALL = 1e-12  # 1; rounding: rad², rad²/s², or of a determinant over its product
 UNDRIVEN = MAX_BODY_RATE / 1.0  # rad/s²; where no torque is known: any body rate within 1 s
 
 

@@ -31,6 +31,7 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.rotations import rotation_between, turn
 
+SMALL = 1e-12  # 1; rounding: rad², rad²/s², or of a determinant over its product
 SEVERAL = 3.0  # 1; chosen: readings in a row that are loud, repeated or missing, and no chance
 LONG = 0.04  # s; chosen: longer lag of the gyro: some samples, below the motion's period
 LONGER = 0.2  # s; chosen: the same of the attitude
@@ -41,7 +42,6 @@ LOOSE = 100.0  # 1; chosen: largest square over the mean of squares, gyro
 TIGHT = 9.0  # 1; chosen: the same of the attitude: three sigma
 GYRO = 0.005  # rad/s; chosen: white noise at the start
 UNKNOWN = 1.0  # rad/s²; chosen: unknown acceleration at the start
-LEAST_GYRO = 1e-4  # rad/s; chosen: white noise of any sensor
 LEAST_UNKNOWN = 0.1  # rad/s²; chosen: unknown acceleration of any vehicle
 LEAST_ATTITUDE = math.radians(0.05)  # rad; chosen: white noise of any sensor
 ATTITUDE = 2.0 * LEAST_ATTITUDE  # rad; white noise at the start
@@ -155,7 +155,7 @@ def _learned(
 def noise_of(state: Learning) -> Noise:
     """Return the variances that explain both lags."""
     gyro, attitude = state.gyro, state.attitude
-    white, still = larger(gyro.near / 6.0, LEAST_GYRO**2), larger(attitude.near / 2.0, LEAST_ATTITUDE**2)
+    white, still = larger(gyro.near / 6.0, SMALL), larger(attitude.near / 2.0, LEAST_ATTITUDE**2)
     unknown = larger((gyro.far - 2.0 * white) / gyro.lag, LEAST_UNKNOWN**2)
     # two sigma of a mean of squares
     doubt = 2.0 * (2.0 * still) * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
