@@ -28,7 +28,7 @@ import quadftc_fdi
 from quadftc_cli.screen import say
 from quadftc_tools.study.ablation import changed_copy
 from quadftc_tools.study.bank_trial import KINDS, NOBODY, PAGE, Judged, judge_flight, seeds_of
-from quadftc_tools.study.page import Drawers, Tables, markdown, run_study
+from quadftc_tools.study.page import NOTHING, Drawers, Tables, markdown, run_study
 
 OBSERVER = "bank"
 PACKAGE = Path(quadftc_fdi.__file__).parent
@@ -121,7 +121,9 @@ def shares(judged: Sequence[Judged]) -> tuple[float, float, float]:
 
 
 def tell_change(usual: Sequence[Judged], judged: Sequence[Judged]) -> str:
-    """Say what changes of the same flights: shares [percentage points], median ratio of delays of ramps."""
+    """Say what changes of the same flights: shares [percentage points], mean ratio of the delays of ramps."""
+    if usual == judged:
+        return "no change"
     told = [
         f"{word} {after - before:+.1f}"
         for word, before, after in zip(WORDS, shares(usual), shares(judged), strict=True)
@@ -132,8 +134,8 @@ def tell_change(usual: Sequence[Judged], judged: Sequence[Judged]) -> str:
         for before, after in zip(usual, judged, strict=True)
         if KINDS[before.kind].power and before.verdict.delay and after.verdict.delay
     ]
-    longer = round(100.0 * (float(np.median(ratios)) - 1.0)) if ratios else 0
-    return ", ".join([*told, *([f"delay {longer:+d} %"] if longer else [])]) or "no change"
+    longer = round(100.0 * (float(np.mean(ratios)) - 1.0)) if ratios else 0
+    return ", ".join([*told, *([f"delay {longer:+d} %"] if longer else [])]) or "below 1 %"
 
 
 def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
@@ -145,6 +147,8 @@ def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
     with tempfile.TemporaryDirectory(prefix="quadftc_") as name:
         os.environ["QUADFTC_CACHE"] = f"{name}/laws"  # no law of a changed copy stays
         usual = judge(str(PACKAGE.parent), seeds)
+        told = ", ".join(f"{word} {share:.1f} %" for word, share in zip(WORDS, shares(usual), strict=True))
+        rows.append(("none", *[NOTHING] * 4, told, told))
         for each in known:
             if options.number and each.name not in options.number:
                 continue

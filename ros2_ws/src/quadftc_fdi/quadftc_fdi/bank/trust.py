@@ -34,7 +34,7 @@ from quadftc_model.arrays import (
 
 FAULTY_WALK = 0.1  # rad/s/√s; chosen: least walk of the bias of a gyro that is not believed
 AGREES = CORRELATED  # s; for which an attitude must agree with the motion: longer than a gust lasts
-SOON = 0.05  # s; chosen: the same after a jump back
+SOON = 0.05  # s; chosen: for which an attitude must agree after a jump back
 SEEN = 12.0  # 1; derived: log-likelihood of a jump back, by 99 % and a prior of 1e-3 a sample
 AVERAGE = 0.02  # s; chosen: over which sizes of attitude faults and jumps of gyros are averaged
 NEAR = 4.0  # 1; chosen: square of a gyro's bias over its variance that is as before: two sigma
