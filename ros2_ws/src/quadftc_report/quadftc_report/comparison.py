@@ -130,6 +130,8 @@ def tell_run(comparison: Comparison[Recorded], run: Recorded) -> str:
         hits = found["fault_count"] - (found["missed"] or 0) - (found["already_declared"] or 0)
         detects = f"detects {hits} of {faults} with {counted(alarms, 'false alarm')}"
         declares = alarms or any(event["declared_share"] for event in found["events"])
+        if not found["fault_count"]:
+            detects = f"raises {counted(alarms, 'false alarm')} of the attitude"
         said.append(detects if declares or not found["fault_count"] else f"declares none of {faults}")
     if metric(run, "lost"):
         said.append("LOSES the vehicle")
