@@ -113,6 +113,14 @@ def judge(log: FlightLog) -> Verdict:
     return inspect(log).verdict
 
 
+def test_loss_in_the_last_seconds_is_named_where_speeds_are_slow():
+    log = fly(lost=(1, 0.5), seconds=ONSET + 0.9)
+    every = slice(None, None, 20)  # 0.5 Hz: the last comes before the loss
+    speeds = Signal(log.rotor_commands.time[every], 800.0 * np.sqrt(log.rotor_commands.value[every]))
+    verdict = inspect(dataclasses.replace(log, rotor_speeds=speeds)).verdict
+    assert [(each.component, each.element) for each in verdict.findings] == [("rotor", "2")]
+
+
 def test_healthy_flight_is_healthy_as_all_of_it_was_judged():
     verdict = judge(healthy())
     assert (verdict.outcome, verdict.findings, verdict.advice) == ("healthy", (), ())
