@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ from quadftc_sim.vehicle_simulation import FreeMotion
 HEADER = struct.Struct("<HHI")  # magic, frame_rate [Hz], frame_count
 CHANNELS = {18458: 16, 29569: 32}  # magic -> numbers of pwm that follow, uint16 [us]
 SLOWEST, FASTEST = 50, 4000  # Hz; frame rates that the plant can be flown at
+STALE = 0.5  # s of the wall clock; what comes again so soon after our answer was sent before it
 LOWEST, HIGHEST = 1000, 2000  # us; pwm of a motor that stands, and of one at its largest speed
 
 
@@ -63,9 +65,9 @@ def rotor_speeds(vehicle: Vehicle, pwm: Sequence[int]) -> Components:
 class ArduPilotPhysics(AutopilotPhysics):
     """The physics behind SITL.
 
-    A frame count that goes back is a restart. A packet that comes again was sent before SITL, after a second,
-    had our answer: a second answer would put SITL a frame behind for good. If the answer was lost, SITL asks
-    once more, and gets it.
+    A frame count that goes back is a restart. SITL asks again each second. A packet that comes again just
+    after our answer was sent before SITL had it: a second answer would put it a frame behind for good. One
+    that comes later says that the answer was lost.
     """
 
     def __init__(
@@ -76,7 +78,7 @@ class ArduPilotPhysics(AutopilotPhysics):
     ) -> None:
         """Take the rate [Hz] that SITL shall follow; None: each packet's own."""
         super().__init__(make_simulator, make_injector)
-        self._frame, self._repeats, self._rate = 0, 0, rate
+        self._frame, self._answered, self._rate = 0, 0.0, rate
 
     def answer(self, data: bytes, sender: Any = None) -> bytes | None:
         """Fly one period under the outputs of a packet; return the state; None for no such packet."""
@@ -88,16 +90,21 @@ class ArduPilotPhysics(AutopilotPhysics):
             shown = self.begin(self._rate or float(packet.frame_rate))
         elif self.shown is not None and packet.frame_count == self._frame:
             self.counts["frame_count repeated"] += 1
-            self._repeats += 1
-            return self.shown.line if self._repeats > 1 else None
+            if time.monotonic() - self._answered < STALE:
+                return None
+            shown = self.shown
         else:
             if missing := packet.frame_count - self._frame - 1:
                 self.counts["frame_count skipped"] += missing
             self._simulator.set_period(period_ns(self._rate or packet.frame_rate))
             command = rotor_speeds(self._simulator.plant.vehicle, packet.pwm)
             shown = self.fly(command, self._simulator)
-        self._frame, self._repeats = packet.frame_count, 0
+        self._frame = packet.frame_count
         return shown.line
+
+    def sent(self) -> None:
+        """Note that an answer has gone out."""
+        self._answered = time.monotonic()
 
     def encode(self, time: float, sample: ImuSample, motion: FreeMotion) -> bytes:
         """Write a state as a line of JSON.

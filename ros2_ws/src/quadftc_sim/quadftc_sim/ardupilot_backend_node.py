@@ -34,22 +34,18 @@ class ArduPilotBackendNode(BackendNode):
         return ArduPilotPhysics(make_simulator, make_injector)
 
     def exchange(self) -> list[Shown]:
-        """Answer what SITL asks.
-
-        SITL repeats a packet that it has waited a second for, as when laws are compiled. All repetitions get
-        one answer: it would take a second one for that to its next packet, and lag from then on.
-        """
+        """Answer what SITL asks; what it repeated meanwhile, as when laws are compiled, gets one answer."""
         answers: dict[Any, bytes] = {}  # by sender
         new: list[Shown] = []
-        for patience in (LOOK, 0.0):  # the second time for what has come meanwhile
-            for data, sender in self.packets(patience):
-                line, shown = self.answer(data, sender), self.physics.shown
-                if line is not None and shown is not None:
-                    answers[sender] = line
-                    new += [] if shown is self._last else [shown]
-                    self._last = shown
+        for data, sender in self.packets(LOOK):
+            line, shown = self.answer(data, sender), self.physics.shown
+            if line is not None and shown is not None:
+                answers[sender] = line
+                new += [] if shown is self._last else [shown]
+                self._last = shown
         for sender, line in answers.items():
             self.send(line, sender)
+            self.physics.sent()
         return new
 
 

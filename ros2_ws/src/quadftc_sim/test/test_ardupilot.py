@@ -167,13 +167,18 @@ def test_bad_packet_is_counted_and_changes_nothing(data, field):
     assert made.answer(packet(3, 1500)) == other.answer(packet(3, 1500))
 
 
-def test_packet_that_comes_twice_has_its_answer_and_a_third_gets_the_same():
+def test_packet_that_comes_again_is_answered_only_if_the_answer_was_lost(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("quadftc_sim.ardupilot.time.monotonic", lambda: now[0])
     made = physics()
     flown(made, 5, 1500)
-    line = made.answer(packet(5, 1500))
-    assert made.answer(packet(5, 1500)) is None  # else SITL would be a frame behind for good
+    line, now[0] = made.answer(packet(5, 1500)), 3.0  # it took long, and SITL asked again meanwhile
+    made.sent()
+    for _ in range(2):
+        assert made.answer(packet(5, 1500)) is None  # else SITL would be a frame behind for good
+    now[0] = 4.1
     assert made.answer(packet(5, 1500)) == line
-    assert made.counts == {"frame_count repeated": 2}
+    assert made.counts == {"frame_count repeated": 3}
     assert state_of(made.answer(packet(6, 1500)))["timestamp"] == pytest.approx(6 / RATE)
 
 

@@ -92,6 +92,10 @@ class Physics:
         self._observe(shown, recorder)
         return line, shown
 
+    def sent(self) -> None:
+        """Note that an answer has gone out."""
+        self._physics.sent()
+
     def wrong_packets(self) -> dict[str, int]:
         """Return how many packets were wrong, by what was wrong."""
         return dict(self._physics.counts)

@@ -145,6 +145,7 @@ class Flight:
                 self._watch(shown)
         if line is not None:
             self._server.send(line)
+            self._physics.sent()
 
     def _watch(self, shown: Any) -> None:
         """Let the pilot act on a sample, and see whether the vehicle is lost."""
