@@ -1,4 +1,3 @@
-# pyright: basic
 """Bad input, drawn by Hypothesis: values, YAML documents, texts and bytes made of good ones, command lines.
 
 Each function takes the ``draw`` of a composite strategy, so that Hypothesis can shrink what it drew.

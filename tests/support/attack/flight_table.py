@@ -1,4 +1,3 @@
-# pyright: basic
 """A short hover as a table of fields, any of which can hold what no sensor gives."""
 
 from __future__ import annotations

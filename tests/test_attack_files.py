@@ -5,7 +5,6 @@ With `--examples 4000` each kind is tried 500 times.
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
 
@@ -15,9 +14,9 @@ from hypothesis import given, settings
 from mcap.writer import CompressionType, Writer
 from sampling import sampled
 
-from quadftc_tools.attack.case import Case, try_case
-from quadftc_tools.attack.seeds import CAMPAIGN, GAINS, SCENARIO, Seeds, with_vehicle
-from quadftc_tools.attack.targets import TARGETS
+from attack.case import Case, try_case
+from attack.seeds import CAMPAIGN, GAINS, SCENARIO, Seeds, with_vehicle
+from attack.targets import TARGETS
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers that overflow on the way
 EXAMPLES = settings().max_examples // 8
@@ -38,18 +37,16 @@ def sandbox(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_bad_input_is_answered_in_a_line_and_an_exit_code(name, seeds, sandbox, record_property):
-    target, tried = TARGETS[name], itertools.count()
+def test_bad_input_is_answered_in_a_line_and_an_exit_code(name, seeds, sandbox):
+    target = TARGETS[name]
 
     @settings(max_examples=EXAMPLES)
     @given(target.cases(seeds))
     def answered(case):
         outcome = try_case(case, target.program, sandbox)
         assert not outcome.wrong, (outcome.wrong, case.arguments, list(case.files))
-        next(tried)
 
     answered()
-    record_property("trials", next(tried))
 
 
 def test_command_lines_have_options_that_the_commands_declare(seeds):

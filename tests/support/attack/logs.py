@@ -1,4 +1,3 @@
-# pyright: basic
 """Flight logs of every format, built field by field.
 
 A format's writer puts a `Flight` into bytes as it stands: stamps keep their order, numbers beyond the range
@@ -15,9 +14,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega
 
-from quadftc_replay.dataflash import FORMAT, FORMAT_TYPE, HEAD
-from quadftc_replay.writers.dataflash import TYPES as LETTERS
-from quadftc_tools.attack.flight_table import (
+from attack.flight_table import (
     AXES,
     COUNT,
     PERIOD,
@@ -30,7 +27,9 @@ from quadftc_tools.attack.flight_table import (
     vector,
     whole,
 )
-from quadftc_tools.attack.ros_logs import mcap, ros1
+from attack.ros_logs import mcap, ros1
+from quadftc_replay.dataflash import FORMAT, FORMAT_TYPE, HEAD
+from quadftc_replay.writers.dataflash import TYPES as LETTERS
 
 mavlink: Any = ardupilotmega
 FRD = (1.0, -1.0, -1.0)

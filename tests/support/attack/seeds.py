@@ -1,4 +1,3 @@
-# pyright: basic
 """Good input that bad input is made of: scenarios, campaigns, gains, vehicles, parameters, bags, logs."""
 
 from __future__ import annotations
@@ -13,12 +12,12 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as OldWriter
 from rosbags.typesys import Stores, get_typestore
 
+from attack.flight_table import hover
+from attack.inputs import plain_dump
+from attack.logs import ulog
 from quadftc_flight.runs import RunOptions, run, run_name
 from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, scenario_names
 from quadftc_model import vehicle as vehicles
-from quadftc_tools.attack.flight_table import hover
-from quadftc_tools.attack.inputs import plain_dump
-from quadftc_tools.attack.logs import ulog
 
 SCENARIO = b"""\
 name: tiny

@@ -17,10 +17,10 @@ import pytest
 from browser import start_browser
 from sampling import sampled
 
+from attack.flight_table import hover
+from attack.logs import blackbox, dataflash, mcap, ulog
 from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log
 from quadftc_report.verdict_page import write_page
-from quadftc_tools.attack.flight_table import hover
-from quadftc_tools.attack.logs import blackbox, dataflash, mcap, ulog
 
 IMAGE = '<img src=x onerror=document.title="owned">'
 SCRIPT = '</script><script>document.title="owned"</script>'

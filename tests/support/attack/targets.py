@@ -1,4 +1,3 @@
-# pyright: basic
 """What can be fed bad input: how an input is drawn for each, and which program gets it."""
 
 from __future__ import annotations
@@ -13,6 +12,17 @@ import numpy as np
 from hypothesis import strategies as st
 from rclpy.node import Node
 
+from attack.case import Case, Program
+from attack.inputs import (
+    Draw,
+    bad_argument,
+    bad_bytes,
+    bad_command_line,
+    bad_text,
+    bad_yaml,
+    pick,
+)
+from attack.seeds import CAMPAIGN, FAULTS, GAINS, NODES, SCENARIO, Seeds, with_vehicle
 from quadftc_cli.commands import GOOD
 from quadftc_cli.main import app, guarded
 from quadftc_control.controller_node import ControllerNode
@@ -26,17 +36,6 @@ from quadftc_ros.executor import STOPPING, run_node
 from quadftc_sim.assembly import sample_count
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
-from quadftc_tools.attack.case import Case, Program
-from quadftc_tools.attack.inputs import (
-    Draw,
-    bad_argument,
-    bad_bytes,
-    bad_command_line,
-    bad_text,
-    bad_yaml,
-    pick,
-)
-from quadftc_tools.attack.seeds import CAMPAIGN, FAULTS, GAINS, NODES, SCENARIO, Seeds, with_vehicle
 
 DIVERGED = 1e3  # rad/s; a vehicle that turns faster
 FLOWN = 25  # samples of a scenario that is flown

@@ -1,4 +1,3 @@
-# pyright: basic
 """One bad input: files and a command line, how a program answered it, and whether that was right."""
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ import os
 import resource
 import shutil
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,13 +37,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a program answered: exit code, texts, time and processor time [s], and what is wrong."""
+    """How a program answered: exit code, texts, and what is wrong."""
 
     code: int
     out: str
     err: str
-    seconds: float
-    cpu: float
     wrong: str
 
 
@@ -59,7 +55,6 @@ def try_case(case: Case, program: Program, sandbox: Path) -> Outcome:
     out, err = _stream("strict"), _stream("backslashreplace")
     code, trouble, where = -1, "", Path.cwd()
     os.chdir(work)
-    begin, cpu = time.monotonic(), time.process_time()
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = program(case.arguments)
@@ -68,7 +63,6 @@ def try_case(case: Case, program: Program, sandbox: Path) -> Outcome:
     except BaseException as error:
         trouble = f"{type(error).__name__}: {error}"
     finally:
-        seconds, cpu = time.monotonic() - begin, time.process_time() - cpu
         os.chdir(where)
     said, complained = _text(out), _text(err)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory
@@ -77,7 +71,7 @@ def try_case(case: Case, program: Program, sandbox: Path) -> Outcome:
         wrong = f"wrote outside the working folder: {sorted(_outside(sandbox) - before)}"
     if not wrong and grown > MAX_GROWTH:
         wrong = f"memory grew by {grown // 1024} MiB"
-    return Outcome(code, said, complained, seconds, cpu, wrong)
+    return Outcome(code, said, complained, wrong)
 
 
 def _write(case: Case, work: Path) -> None:

@@ -1,18 +1,20 @@
-# pyright: basic
 """Bags of ROS 2 (MCAP) and ROS 1 of a hover, with the bytes that its table gives them."""
 
 from __future__ import annotations
 
 import io
 import struct
+import tempfile
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as OldWriter
 from rosbags.typesys import Stores, get_typestore
 
-from quadftc_tools.attack.flight_table import COUNT, PERIOD, ROTORS, START, Flight, rotors, rows, vector
+from attack.flight_table import COUNT, PERIOD, ROTORS, START, Flight, rotors, rows, vector
 
 
 def _imu(flight: Flight) -> dict[str, Any]:
@@ -90,39 +92,17 @@ def mcap(flight: Flight, topics: Mapping[str, str] | None = None) -> bytes:
     return out.getvalue()
 
 
-def _record(fields: Mapping[str, bytes], data: bytes) -> bytes:
-    header = b"".join(
-        struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value
-        for name, value in fields.items()
-    )
-    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
-
-
 def ros1(flight: Flight) -> bytes:
-    """Write a ROS 1 bag of one chunk, with the records that a reader of its index asks for."""
-    messages, parts, number = _ros_messages(flight, 1), list[bytes](), dict[str, bytes]()
-    links = list[bytes]()
-    for k, (topic, kind) in enumerate(zip(messages, KINDS, strict=True)):
-        number[topic] = struct.pack("<I", k)
-        text, digest = STORES[1].generate_msgdef(kind)
-        about = {"topic": topic.encode(), "type": kind.replace("/msg", "").encode()}
-        about |= {"md5sum": digest.encode(), "message_definition": text.encode()}
-        body = b"".join(
-            struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value
-            for name, value in about.items()
-        )
-        links.append(_record({"op": b"\x07", "conn": number[topic], "topic": topic.encode()}, body))
-    for k in range(COUNT):
-        time = struct.pack("<II", int(START + k * PERIOD), int(1e9 * k * PERIOD) % 10**9)
-        for topic, packed in messages.items():
-            parts.append(_record({"op": b"\x02", "conn": number[topic], "time": time}, packed[k]))
-    inner = b"".join([*links, *parts])
-    chunk = _record({"op": b"\x05", "compression": b"none", "size": struct.pack("<I", len(inner))}, inner)
-    magic = b"#ROSBAG V2.0\n"
-    where = {"index_pos": struct.pack("<Q", len(magic) + 4096 + len(chunk))}
-    where |= {"conn_count": struct.pack("<I", len(links)), "chunk_count": struct.pack("<I", 1)}
-    head = _record({"op": b"\x03", **where}, b"")
-    head = _record({"op": b"\x03", **where}, b" " * (4096 - len(head)))
-    span = {"ver": struct.pack("<I", 1), "chunk_pos": struct.pack("<Q", len(magic) + 4096)}
-    span |= {"start_time": bytes(8), "end_time": bytes(8), "count": struct.pack("<I", 0)}
-    return magic + head + chunk + b"".join(links) + _record({"op": b"\x06", **span}, b"")
+    """Write a ROS 1 bag of one chunk."""
+    messages = _ros_messages(flight, 1)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "bag")
+        with OldWriter(path) as writer:
+            links = {
+                topic: writer.add_connection(topic, kind, typestore=STORES[1])
+                for topic, kind in zip(messages, KINDS, strict=True)
+            }
+            for k in range(COUNT):
+                for topic, packed in messages.items():
+                    writer.write(links[topic], int(1e9 * (START + k * PERIOD)), packed[k])
+        return path.read_bytes()

@@ -16,11 +16,11 @@ import pytest
 from hypothesis import settings
 from sampling import sampled
 
+from attack.flight_table import hover
+from attack.logs import ulog
+from attack.seeds import SCENARIO
 from quadftc_bags.bag import read_bag
 from quadftc_cli.commands import BAD_INPUT, CHECK_FAILED, GOOD, INTERNAL, INTERRUPTED, NOT_ENOUGH
-from quadftc_tools.attack.flight_table import hover
-from quadftc_tools.attack.logs import ulog
-from quadftc_tools.attack.seeds import SCENARIO
 
 TRIALS = max(1, settings().max_examples // 40)  # of each command; with --examples 400 ten
 PATIENCE, SOON = 120.0, 30.0  # s; until a command is done, until one that is stopped has ended
@@ -54,7 +54,7 @@ from quadftc_cli.main import guarded
 for command in sys.argv[1:]:
     print(f"{command}: {guarded([*command.split(), '--out', 'disk/out'])}")
 """
-SHIM = Path(__file__).parents[1] / "quadftc_tools" / "attack" / "clock_shim.c"
+SHIM = Path(__file__).parent / "support" / "attack" / "clock_shim.c"
 
 
 @pytest.fixture
@@ -86,9 +86,8 @@ def descendants(process: subprocess.Popen) -> list[psutil.Process]:
 
 
 @pytest.mark.parametrize("name", sampled(COMMANDS, every=5))
-def test_command_interrupted_twice_ends_and_leaves_nothing(name, work, record_property):
+def test_command_interrupted_twice_ends_and_leaves_nothing(name, work):
     chance = random.Random(name)
-    record_property("trials", TRIALS)
     for _ in range(TRIALS):
         for old in ("out", "served", "tuned.yaml"):
             path = work / old
@@ -122,8 +121,7 @@ FLOWN = ["campaign", "c.yaml", "--workers", "2", "--out"]
 
 
 @pytest.mark.thorough
-def test_worker_that_is_killed_costs_no_flight(work, record_property):
-    record_property("trials", TRIALS)
+def test_worker_that_is_killed_costs_no_flight(work):
     assert finish(work, [*FLOWN, "whole"])[0] in (GOOD, CHECK_FAILED)
     expected = (work / "whole" / "flights.parquet").read_bytes()
     killed = 0
