@@ -10,9 +10,10 @@ import random
 
 import pytest
 
+from quadftc_tools.soak.command import passed
 from quadftc_tools.soak.node_flight import CHANGING_FAULT, DISTURBANCE, KILL, SENSOR_FAULT, STOP, Hit
 from quadftc_tools.soak.node_judgement import Trial
-from quadftc_tools.soak.nodes import ALL, flights_of, flown, summary, table
+from quadftc_tools.soak.nodes import ALL, flights_of, flown
 
 # s; meanwhile the attitude runs on the gyro, and its error grows. A quiet machine starts a node in 1 s.
 LONGEST_AWAY = 3.0
@@ -30,11 +31,10 @@ def test_flight_goes_on_when_nodes_are_killed_and_stopped():
     if any(trial.void for trial in trials):
         reasons = "; ".join(trial.wrong for trial in trials if trial.void)
         pytest.skip(f"the flight was already lost before anything was hit: {reasons}")
-    if trials[0].away > LONGEST_AWAY:
-        pytest.skip(f"the machine is too busy: starting a node took {trials[0].away:.1f} s")
+    if trials[0].away_s > LONGEST_AWAY:
+        pytest.skip(f"the machine is too busy: starting a node took {trials[0].away_s:.1f} s")
     assert [trial.wrong for trial in trials] == [""] * 3, trials
-    assert all(trial.away > 0.2 for trial in trials[:2])  # they were away, and came back
-    assert summary(trials, 1)["survived"] == table(trials).row_count - 1 == 3
+    assert all(trial.away_s > 0.2 for trial in trials[:2])  # they were away, and came back
 
 
 def test_soak_hits_everything_in_turn():
@@ -44,8 +44,8 @@ def test_soak_hits_everything_in_turn():
 
 def test_trial_that_went_wrong_before_anything_was_done_does_not_count():
     good = Trial("controller", STOP, DISTURBANCE, 0.2, 0.0, 0.1, 0.01, "")
-    bad = dataclasses.replace(good, largest=9.0, wrong="attitude off by 9.0 deg")
-    assert summary([good, bad], 1)["passed"] is False
-    found = summary([good, dataclasses.replace(bad, void=True)], 1)
-    assert (found["passed"], found["trials"], found["void"], found["worst_error_deg"]) == (True, 1, 1, 0.2)
-    assert summary([], 1)["passed"] is False
+    bad = dataclasses.replace(good, largest_deg=9.0, wrong="attitude off by 9.0 deg")
+    assert passed([good])
+    assert not passed([good, bad])
+    assert passed([good, dataclasses.replace(bad, void=True)])
+    assert not passed([])

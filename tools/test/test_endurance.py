@@ -8,7 +8,7 @@ import pytest
 
 from quadftc_flight.scenario import ScenarioError
 from quadftc_tools.soak import endurance
-from quadftc_tools.soak.endurance import Looks, soak, summary
+from quadftc_tools.soak.endurance import Flown, Growth, Looks, soak
 
 GROWING = """
 import time
@@ -32,22 +32,21 @@ def test_process_that_grows_is_found_out(program, grows):
         finally:
             process.kill()
     (found,) = looks.growth()
-    assert found.name == "graph"
-    assert (found.slope > 1000.0) == grows  # MB/h
-    assert (found.files_slope > 1000.0) == grows
+    assert found.process == "graph"
+    assert (found.growth_mb_h > 1000.0) == grows == bool(found.wrong)
+    assert (found.files_growth_h > 1000.0) == grows
 
 
 def test_flights_follow_each_other_and_are_judged(monkeypatch):
     monkeypatch.setattr(endurance, "LOOK", 0.1)
-    lines = []
-    flown, grown = soak("lockstep", "composed", 100.0, 10.0, 0.01, lines.append)
-    assert len(flown) == len(lines) >= 1
-    assert all((each.samples, each.missing) == (999, 0) and 0.0 < each.largest < 5.0 for each in flown)
-    assert {each.name for each in grown} >= {"graph"}
-    found = summary("lockstep", "composed", 100.0, flown, grown)
-    assert (found["flights"], found["missing"]) == (len(flown), 0)
+    found = list(soak("lockstep", "composed", 100.0, 10.0, 0.01))
+    flown, grown = ([each for each in found if isinstance(each, kind)] for kind in (Flown, Growth))
+    assert flown
+    assert all((each.samples, each.missing, each.wrong) == (999, 0, "") for each in flown)
+    assert all(0.0 < each.largest_deg < 5.0 for each in flown)
+    assert {each.process for each in grown} >= {"graph"}
 
 
 def test_flights_that_cannot_be_are_refused():
     with pytest.raises(ScenarioError, match="rate"):
-        soak("lockstep", "composed", 1e9, 10.0, 0.1, print)
+        next(soak("lockstep", "composed", 1e9, 10.0, 0.1))

@@ -1,8 +1,9 @@
 # pyright: basic
 """``scripts/soak PART``: each part injects one kind of fault into the software, many times.
 
-Exit codes as of ``quadftc``: 1 if what was required did not hold in some trial. A new part is a module with
-what it does and how it shows it, and a function here.
+A part is a module whose ``soak`` yields trials: dataclasses of texts, which say what was tried, of numbers
+that are better when small, and of `wrong`, empty where all held. Exit codes as of ``quadftc``: 1 if something
+did not hold.
 """
 
 from __future__ import annotations
@@ -11,18 +12,17 @@ import dataclasses
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 os.environ.setdefault("ROS_DOMAIN_ID", str(81 + os.getpid() % 21))  # away from those of the tests, and from 0
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD
 from quadftc_cli.main import guarded
-from quadftc_cli.screen import console, say
+from quadftc_cli.screen import console, plain_table, say
 from quadftc_ros.reach import stay_local
 
 stay_local()
@@ -33,6 +33,7 @@ app = typer.Typer(
 
 TrialsOption = Annotated[int, typer.Option(min=1, help="How many.")]
 SeedOption = Annotated[int, typer.Option(help="Of the random times.")]
+OnlyOption = Annotated[str, typer.Option(help="Only what has this in its name.")]
 OutOption = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write every trial there.")]
 
 
@@ -44,39 +45,27 @@ def _root() -> None:
 @app.command()
 def recorder(trials: TrialsOption = 50, seed: SeedOption = 1, out: OutOption = None) -> None:
     """Kill recorders at random times; repair their bags; tell how much was lost."""
-    from quadftc_tools.soak.recorder import KILLED
+    from quadftc_tools.soak.recorder import KILLED, soak
 
-    _hit_recorders(KILLED, trials, seed, out)
+    judge(soak(KILLED, trials, seed), out)
 
 
 @app.command()
 def disk(trials: TrialsOption = 20, seed: SeedOption = 1, out: OutOption = None) -> None:
     """Let disks be full at random times of flights, which are to go on; repair the bags."""
-    from quadftc_tools.soak.recorder import DISK_FULL
+    from quadftc_tools.soak.recorder import DISK_FULL, soak
 
-    _hit_recorders(DISK_FULL, trials, seed, out)
+    judge(soak(DISK_FULL, trials, seed), out)
 
 
 @app.command()
 def nodes(
-    trials: TrialsOption = 51,
-    seed: SeedOption = 1,
-    only: Annotated[str, typer.Option(help="Only what has this in its name: node, action, stress.")] = "",
-    keep: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep bags of flights gone wrong.")] = None,
-    out: OutOption = None,
+    trials: TrialsOption = 51, seed: SeedOption = 1, only: OnlyOption = "", out: OutOption = None
 ) -> None:
     """Kill, stop and slow nodes in flight, lose and delay messages; tell how the vehicle took it."""
-    from quadftc_tools.soak import nodes as part
+    from quadftc_tools.soak.nodes import soak
 
-    def follow(trial: part.Trial) -> None:
-        say(
-            f"{trial.node} {trial.action} during {trial.stress}: off by {trial.largest:.2f} deg, away"
-            f" {trial.away:.1f} s, back within {trial.returned:.2f} s, torque jumped by"
-            f" {100.0 * trial.jump:.1f} %: {'void: ' * trial.void}{trial.wrong or 'good'}"
-        )
-
-    done = part.soak(trials, seed, only, keep, follow)
-    _finish(part.table(done), part.summary(done, seed), done, out)
+    judge(soak(trials, seed, only), out)
 
 
 @app.command()
@@ -84,20 +73,13 @@ def intruders(
     graph: Annotated[str, typer.Option(help="composed or processes.")] = "composed",
     seconds: Annotated[float, typer.Option(min=1.0, help="How long each attack lasts.")] = 10.0,
     seed: SeedOption = 1,
-    only: Annotated[str, typer.Option(help="Only attacks that have this in their name.")] = "",
+    only: OnlyOption = "",
     out: OutOption = None,
 ) -> None:
     """Let a stranger publish in flight what a node would; tell how the vehicle took it, and who noticed."""
-    from quadftc_tools.soak import intruders as part
+    from quadftc_tools.soak.intruders import soak
 
-    def follow(trial: part.Trial) -> None:
-        say(
-            f"{trial.attack}: {trial.sent} sent, {trial.refused} refused, off by {trial.largest:.2f} deg,"
-            f" named after {trial.named:.2f} s: {trial.wrong or 'good'}"
-        )
-
-    done = part.soak(graph, seconds, seed, only, follow)
-    _finish(part.table(done), part.summary(done, seed), done, out)
+    judge(soak(graph, seconds, seed, only), out)
 
 
 @app.command()
@@ -114,37 +96,58 @@ def endurance(
     """Fly for long; tell whether memory, open files or the rate drift."""
     from quadftc_flight.runs import GRAPHS
     from quadftc_ros.node import MODES
-    from quadftc_tools.soak import endurance as part
+    from quadftc_tools.soak.endurance import soak
 
     for name, value, known in (("mode", mode, MODES), ("graph", graph, GRAPHS)):
         if value not in known:
             raise ValueError(f"--{name}: no '{value}'; there are: {', '.join(known)}")
-    flown, grown = part.soak(mode, graph, rate, length, minutes, say)
-    _finish(part.table(grown), part.summary(mode, graph, rate, flown, grown), flown, out)
+    judge(soak(mode, graph, rate, length, minutes), out)
 
 
-def _hit_recorders(hit: str, trials: int, seed: int, out: Path | None) -> None:
-    from quadftc_tools.soak import recorder as part
-
-    def follow(trial: part.Trial) -> None:
-        verdict = trial.wrong or ("good" if part.passed(trial) else "too much is lost")
-        say(
-            f"{trial.form}: {hit} after {trial.after:.2f} s, lost {trial.lost:.3f} s"
-            f" ({trial.lost_stamps:.3f} s of stamps), {trial.messages} messages read: {verdict}"
-        )
-
-    done = part.soak(hit, trials, seed, follow)
-    _finish(part.table(hit, done), part.summary(hit, done, seed), done, out)
-
-
-def _finish(table: Table, summary: dict[str, Any], trials: Sequence[Any], out: Path | None) -> None:
-    """Print the table, write the results if asked to, and end with the exit code."""
-    console().print(table)
+def judge(trials: Iterable[Any], out: Path | None) -> None:
+    """Show each trial as it comes, then the largest numbers; write them; end with the exit code."""
+    done: list[Any] = []
+    for trial in trials:
+        done.append(trial)
+        row = dataclasses.asdict(trial)
+        wrong = row.pop("wrong") or "good"
+        void = "void: " * row.pop("void", False)
+        say(f"{', '.join(f'{name} {_text(value)}' for name, value in row.items())}: {void}{wrong}")
+    for kind in dict.fromkeys(map(type, done)):
+        _show([dataclasses.asdict(trial) for trial in done if type(trial) is kind])
     if out is not None:
-        rows = {**summary, "each": [dataclasses.asdict(trial) for trial in trials]}
         out.parent.mkdir(parents=True, exist_ok=True)
+        rows = [dataclasses.asdict(trial) for trial in done]
         out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
-    raise typer.Exit(GOOD if summary["passed"] else CHECK_FAILED)
+    raise typer.Exit(GOOD if passed(done) else CHECK_FAILED)
+
+
+def passed(trials: Sequence[Any]) -> bool:
+    """Whether there are trials, and all held; one that is void does not count."""
+    counted = [trial for trial in trials if not getattr(trial, "void", False)]
+    return bool(counted) and not any(trial.wrong for trial in counted)
+
+
+def _show(rows: list[dict[str, Any]]) -> None:
+    """Print a row for each thing that was tried, and one for all: the largest of each number."""
+    rows = [row for row in rows if not row.pop("void", False)]
+    if not rows:
+        return
+    names = [name for name in rows[0] if name != "wrong"]
+    texts = [name for name in names if isinstance(rows[0][name], str)]
+    numbers = [name for name in names if name not in texts]
+    shown = plain_table(texts, ("trials", "good", *numbers), "The largest of each number")
+    groups = [tuple(row[name] for name in texts) for row in rows]
+    for group in (*(dict.fromkeys(groups) if texts else ()), None):
+        part = [row for row, own in zip(rows, groups, strict=True) if group in (own, None)]
+        counts = str(len(part)), str(sum(not row["wrong"] for row in part))
+        largest = (_text(max(row[name] for row in part)) for name in numbers)
+        shown.add_row(*(group or ["all", *[""] * len(texts)][: len(texts)]), *counts, *largest)
+    console().print(shown)
+
+
+def _text(value: str | float) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":

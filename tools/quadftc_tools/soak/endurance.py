@@ -17,20 +17,19 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import psutil
-from rich.table import Table
 from scipy.stats import linregress
 
 from quadftc_bags.bag import read_bag
-from quadftc_cli.screen import plain_table
 from quadftc_flight.flight import flight_from_bag
 from quadftc_flight.graph.plan import GraphError
+from quadftc_flight.scenario import Scenario
 from quadftc_flight.summary import summary as summary_of
 from quadftc_tools.soak.endurance_flight import scenario_of
 
@@ -50,31 +49,31 @@ class Flown:
     """One whole flight."""
 
     samples: int
-    wall: float  # s that it took
-    largest: float  # deg; attitude error, the largest of the axes
+    wall_s: float  # that it took
+    largest_deg: float  # attitude error, the largest of the axes
     missing: int  # samples and messages that are not in the bag
-    rate: float  # Hz; of torque/command by its log times
+    rate_hz: float  # of torque/command by its log times
     rate_drift: float  # change from begin to end, relative
+    wrong: str
 
 
 @dataclasses.dataclass(frozen=True)
 class Growth:
     """Growth of one process, or of those with one name that followed each other."""
 
-    name: str
+    process: str
     looks: int  # after the warm-up
-    memory: float  # MB; median
-    slope: float  # MB/h
-    error: float  # MB/h; standard error of the slope
-    files: tuple[int, int]  # fewest and most open
-    files_slope: float  # 1/h
+    memory_mb: float  # median
+    growth_mb_h: float
+    error_mb_h: float  # standard error of the growth
+    open_files: int  # most
+    files_growth_h: float
     threads: int  # most
+    wrong: str
 
 
-def soak(
-    mode: str, graph: str, rate: float, length: float, minutes: float, follow: Callable[[str], None]
-) -> tuple[list[Flown], list[Growth]]:
-    """Fly, watch, and judge; ``follow`` is called with a line for each flight.
+def soak(mode: str, graph: str, rate: float, length: float, minutes: float) -> Iterator[Flown | Growth]:
+    """Fly, watch, and judge.
 
     ``rate`` in Hz, ``length`` of a flight in s. GraphError if the graph does not start, or ends early;
     ScenarioError if there is no flight of such a rate or length.
@@ -85,16 +84,15 @@ def soak(
         command = [sys.executable, "-m", "quadftc_tools.soak.endurance_flight", *arguments]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             try:
-                return _watch(process, Path(folder), rate, length, follow)
+                yield from _watch(process, Path(folder), mode, rate, length)
             finally:
                 process.terminate()
 
 
 def _watch(
-    process: subprocess.Popen[bytes], folder: Path, rate: float, length: float, follow: Callable[[str], None]
-) -> tuple[list[Flown], list[Growth]]:
+    process: subprocess.Popen[bytes], folder: Path, mode: str, rate: float, length: float
+) -> Iterator[Flown | Growth]:
     looks = Looks(process.pid)
-    flown: list[Flown] = []
     assert process.stdout is not None
     with selectors.DefaultSelector() as selector:
         selector.register(process.stdout, selectors.EVENT_READ)
@@ -112,16 +110,11 @@ def _watch(
             if "flown" in told:
                 bag = folder / str(told["flown"])
                 if not told["cut"]:
-                    flown.append(_judge(bag, told, scenario_of(rate, length, told["flown"])))
-                    last = flown[-1]
-                    follow(
-                        f"flight {told['flown']}: {last.samples} samples in {last.wall:.1f} s, attitude off"
-                        f" by at most {last.largest:.2f} deg, {last.missing} samples missing"
-                    )
+                    yield _judge(bag, told, scenario_of(rate, length, told["flown"]), mode)
                 shutil.rmtree(bag)
     if process.wait() != 0:
         raise GraphError(f"the flights ended with exit code {process.returncode}")
-    return flown, looks.growth()
+    yield from looks.growth()
 
 
 class Looks:
@@ -149,13 +142,12 @@ class Looks:
             if len(seen) < 3:
                 continue
             hours, memory, files = seen[:, 0] / HOUR, seen[:, 1] / MEGABYTE, seen[:, 2]
-            line = linregress(hours, memory)
+            line, files_growth = linregress(hours, memory), float(linregress(hours, files).slope)
+            grows = line.slope >= MEMORY_GROWTH or files_growth >= FILES_GROWTH
             found.append(
                 Growth(
                     *(name, len(seen), float(np.median(memory)), float(line.slope), float(line.stderr)),
-                    files=(int(files.min()), int(files.max())),
-                    files_slope=float(linregress(hours, files).slope),
-                    threads=int(seen[:, 3].max()),
+                    *(int(files.max()), files_growth, int(seen[:, 3].max()), "it grows" * bool(grows)),
                 )
             )
         return found
@@ -166,66 +158,21 @@ class Looks:
         return next((Path(word).name for word in process.cmdline()[1:] if not word.startswith("-")), "?")
 
 
-def _judge(bag: Path, told: dict[str, Any], scenario: Any) -> Flown:
+def _judge(bag: Path, told: dict[str, Any], scenario: Scenario, mode: str) -> Flown:
     recorded = read_bag(bag)
     flight = flight_from_bag(recorded)
     result = summary_of(flight, scenario, scenario.scheme(None), None)["metrics"]
-    wanted = round(scenario.duration * scenario.rate) - scenario.sensor.delay
+    largest = max(result["tracking_max_deg"].values())
+    missing = round(scenario.duration * scenario.rate) - scenario.sensor.delay - len(flight) + told["dropped"]
     times = recorded.series("torque/command").log_time_ns / 1e9
-    edges = np.arange(times[0], times[-1], RATE_WINDOW)
-    rates = np.histogram(times, edges)[0] / RATE_WINDOW if len(edges) > 2 else np.zeros(0)
-    drift = (
-        linregress(np.linspace(0.0, 1.0, len(rates)), rates).slope / rates.mean() if len(rates) > 2 else 0.0
-    )
-    return Flown(
-        len(flight),
-        told["wall_s"],
-        max(result["tracking_max_deg"].values()),
-        wanted - len(flight) + told["dropped"],
-        float(rates.mean()) if len(rates) else 0.0,
-        float(drift),
-    )
-
-
-def table(grown: list[Growth]) -> Table:
-    """One row for each process."""
-    numbers = ("looks", "memory [MB]", "growth [MB/h]", "open files", "growth [1/h]", "threads")
-    shown = plain_table(("process",), numbers, "After the warm-up")
-    for each in grown:
-        shown.add_row(
-            *(each.name, str(each.looks), f"{each.memory:.1f}", f"{each.slope:+.2f} ± {each.error:.2f}"),
-            *(f"{each.files[0]}..{each.files[1]}", f"{each.files_slope:+.2f}", str(each.threads)),
-        )
-    return shown
-
-
-def summary(mode: str, graph: str, rate: float, flown: list[Flown], grown: list[Growth]) -> dict[str, Any]:
-    """What was found, ready for JSON."""
-    worst_drift = max((abs(each.rate_drift) for each in flown), default=None)
-    return {
-        "fault": "none but time",
-        "mode": mode,
-        "graph": graph,
-        "rate_hz": rate,
-        "flights": len(flown),
-        "samples": sum(each.samples for each in flown),
-        "missing": sum(each.missing for each in flown),
-        "wall_s": sum(each.wall for each in flown),
-        "largest_error_deg": max((each.largest for each in flown), default=None),
-        "rate_drift": worst_drift,
-        "memory_growth_mb_h": max((each.slope for each in grown), default=None),
-        "files_growth_h": max((each.files_slope for each in grown), default=None),
-        "growth": [dataclasses.asdict(each) for each in grown],
-        "passed": bool(flown and grown)
-        and all(_passed(each, mode, rate) for each in flown)
-        and all(each.slope < MEMORY_GROWTH and each.files_slope < FILES_GROWTH for each in grown),
-    }
-
-
-def _passed(flown: Flown, mode: str, rate: float) -> bool:
-    if flown.largest > ATTITUDE:
-        return False
+    rates = np.histogram(times, np.arange(times[0], times[-1], RATE_WINDOW))[0] / RATE_WINDOW
+    rate, drift = float(rates.mean()) if len(rates) else 0.0, 0.0
+    if len(rates) > 1:
+        drift = float(linregress(np.linspace(0.0, 1.0, len(rates)), rates).slope / rate)
+    wrong = "off its reference; " * (largest > ATTITUDE)
     if mode == "lockstep":
-        return flown.missing == 0
-    kept = abs(flown.rate / rate - 1.0) < RATE_DRIFT and abs(flown.rate_drift) < RATE_DRIFT
-    return kept and flown.missing <= MISSING * flown.samples
+        wrong += "samples are missing" * (missing != 0)
+    else:
+        wrong += "samples are missing; " * (missing > MISSING * len(flight))
+        wrong += "not at its rate" * (max(abs(rate / scenario.rate - 1.0), abs(drift)) >= RATE_DRIFT)
+    return Flown(len(flight), told["wall_s"], largest, missing, rate, drift, wrong)

@@ -8,17 +8,15 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
-from rich.table import Table
 
 from quadftc_bags.bag import Bag, read_bag
-from quadftc_cli.screen import plain_table
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.runs import GRAPHS
 from quadftc_flight.scenario import node_parameters
@@ -38,27 +36,20 @@ class Trial:
 
     attack: str
     sent: int  # messages
-    largest: float  # deg; attitude error from its begin on
-    named: float  # s from its graph event, or first message, until it stands in /diagnostics; infinite: never
+    largest_deg: float  # attitude error from its begin on
+    named_s: float  # from its graph event, or first message, until it stands in /diagnostics; infinite: never
     refused: int  # messages, by the node that refused most
     wrong: str  # empty if all held
 
 
-def soak(graph: str, duration: float, seed: int, only: str, follow: Callable[[Trial], None]) -> list[Trial]:
-    """Fly once with each attack that has ``only`` in its name; ``follow`` gets each trial.
-
-    ValueError if that leaves none.
-    """
+def soak(graph: str, duration: float, seed: int, only: str) -> Iterator[Trial]:
+    """Fly once with each attack that has ``only`` in its name; ValueError if that leaves none."""
     if not (chosen := [name for name in ATTACKS if only in name]):
         raise ValueError(f"--only: nothing has '{only}' in it")
-    done: list[Trial] = []
     for name in chosen:
         with tempfile.TemporaryDirectory(prefix="quadftc_soak_") as folder:
             bag = Path(folder, "bag")
-            told = _fly(name, graph, duration, seed, bag)
-            done.append(judge(name, told, read_bag(bag)))
-        follow(done[-1])
-    return done
+            yield judge(name, _fly(name, graph, duration, seed, bag), read_bag(bag))
 
 
 def _fly(name: str, graph: str, duration: float, seed: int, bag: Path) -> dict[str, int]:
@@ -121,26 +112,3 @@ def _statuses(bag: Bag) -> Iterator[tuple[int, Any]]:
     for _, log_time_ns, data in bag.messages(["/diagnostics"]):
         statuses: Any = deserialize_message(data, DiagnosticArray).status
         yield from ((log_time_ns, status) for status in statuses)
-
-
-def table(done: Sequence[Trial]) -> Table:
-    """One row for each attack."""
-    numbers = ("sent", "refused", "worst error [deg]", "named after [s]")
-    shown = plain_table(("attack", "topic"), numbers, "A stranger publishes in flight")
-    for each in done:
-        cells = str(each.sent), str(each.refused), f"{each.largest:.2f}", f"{each.named:.2f}"
-        shown.add_row(each.attack, ATTACKS[each.attack].topic, *cells)
-    return shown
-
-
-def summary(done: Sequence[Trial], seed: int) -> dict[str, Any]:
-    """What was found, ready for JSON."""
-    return {
-        "fault": "a stranger publishes in flight",
-        "seed": seed,
-        "trials": len(done),
-        "survived": sum(not each.wrong for each in done),
-        "worst_error_deg": max(each.largest for each in done),
-        "latest_named_s": max(each.named for each in done),
-        "passed": not any(each.wrong for each in done),
-    }

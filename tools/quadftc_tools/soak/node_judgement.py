@@ -47,9 +47,9 @@ class Trial:
     node: str
     action: str
     stress: str
-    largest: float  # deg; attitude error in its window; where the vehicle gives up, until it has
-    away: float  # s for which a killed node was away; 0 for others
-    returned: float  # s from its end, or from when the node was back, until the error stayed below `BACK`
+    largest_deg: float  # attitude error in its window; where the vehicle gives up, until it has
+    away_s: float  # for which a killed node was away; 0 for others
+    returned_s: float  # from its end, or from when the node was back, until the error stayed below `BACK`
     jump: float  # of the authority; largest step of torque at a change of mode; 0 where the vehicle gives up
     wrong: str  # empty if all held
     void: bool = False  # the vehicle was off before the hit: the machine could not carry the flight

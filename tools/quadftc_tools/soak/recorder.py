@@ -18,15 +18,13 @@ import os
 import random
 import resource
 import signal
-import statistics
 import subprocess
 import tempfile
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 import psutil
@@ -34,13 +32,11 @@ from mcap.reader import make_reader
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rich.table import Table
 from rosbags.highlevel import AnyReader
 
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.interfaces import load_message_class
 from quadftc_bags.repair import repair
-from quadftc_cli.screen import plain_table
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphError, GraphPlan
 from quadftc_flight.graph.processes import executable_path
@@ -74,9 +70,9 @@ class Trial:
     """One recorder that was killed, or ran out of disk."""
 
     form: str  # one of `FORMS`
-    after: float  # s from the first message to the hit
-    lost: float  # s; age of the newest message in the repaired bag at the hit; if there is none, ``after``
-    lost_stamps: float  # s by which the stamps went on meanwhile; in real time the same
+    after_s: float  # from the first message to the hit
+    lost_s: float  # age of the newest message in the repaired bag at the hit; if there is none, ``after_s``
+    lost_stamps_s: float  # by which the stamps went on meanwhile; in real time the same
     messages: int  # in the repaired bag
     wrong: str  # with the repaired bag, or with the flight that should have gone on; empty if nothing
 
@@ -123,7 +119,7 @@ def try_recorder(form: str, hit: str, generator: random.Random) -> Trial:
         lost,
         behind,
         len(log_times_ns),
-        "; ".join(filter(None, (flight.wrong, wrong))),
+        "; ".join(filter(None, (flight.wrong, wrong, "too much is lost" * (lost > ALLOWED)))),
     )
 
 
@@ -248,47 +244,8 @@ def _read_repaired(bag: Path, topics: tuple[str, ...]) -> tuple[list[int], str]:
     return [time_ns for _, time_ns, _ in found], wrong
 
 
-def soak(hit: str, trials: int, seed: int, follow: Callable[[Trial], None]) -> list[Trial]:
-    """Hit so many recorders, of each form in turn; ``follow`` is called with each trial."""
-    generator = random.Random(seed)
-    done: list[Trial] = []
-    forms = FORMS_HIT[hit]
+def soak(hit: str, trials: int, seed: int) -> Iterator[Trial]:
+    """Hit so many recorders, of each form in turn."""
+    generator, forms = random.Random(seed), FORMS_HIT[hit]
     for number in range(trials):
-        done.append(try_recorder(forms[number % len(forms)], hit, generator))
-        follow(done[-1])
-    return done
-
-
-def passed(trial: Trial) -> bool:
-    """Whether no more was lost than may be, and the repaired bag is whole."""
-    return not trial.wrong and trial.lost <= ALLOWED
-
-
-def table(hit: str, done: Sequence[Trial]) -> Table:
-    """One row for each form, and one for all."""
-    numbers = ("trials", "worst loss [s]", "median [s]", "worst in stamps [s]")
-    numbers += ("bad after repair", "messages read")
-    shown = plain_table(("form",), numbers, f"{hit} at a random time")
-    for name in (*FORMS, "all"):
-        rows = [trial for trial in done if name in (trial.form, "all")]
-        if rows:
-            lost = [trial.lost for trial in rows]
-            shown.add_row(
-                *(name, str(len(rows)), f"{max(lost):.3f}", f"{statistics.median(lost):.3f}"),
-                f"{max(trial.lost_stamps for trial in rows):.3f}",
-                str(sum(bool(trial.wrong) for trial in rows)),
-                str(sum(trial.messages for trial in rows)),
-            )
-    return shown
-
-
-def summary(hit: str, done: Sequence[Trial], seed: int) -> dict[str, Any]:
-    """What was found, ready for JSON."""
-    return {
-        "fault": hit,
-        "seed": seed,
-        "trials": len(done),
-        "worst_loss_s": max((trial.lost for trial in done), default=None),
-        "bad_after_repair": sum(bool(trial.wrong) for trial in done),
-        "passed": all(map(passed, done)),
-    }
+        yield try_recorder(forms[number % len(forms)], hit, generator)
