@@ -20,8 +20,7 @@ from quadftc_model.vehicle import Vehicle
 from quadftc_sim.assembly import period_ns
 from quadftc_sim.autopilot import AutopilotPhysics, ned_attitude, speeds_of_shares, to_frd, to_ned
 from quadftc_sim.injector import FaultInjector
-from quadftc_sim.simulator import Simulator
-from quadftc_sim.vehicle_simulation import FreeMotion
+from quadftc_sim.simulator import Emission, Simulator
 
 HEADER = struct.Struct("<HHI")  # magic, frame_rate [Hz], frame_count
 CHANNELS = {18458: 16, 29569: 32}  # magic -> numbers of pwm that follow, uint16 [us]
@@ -106,11 +105,13 @@ class ArduPilotPhysics(AutopilotPhysics):
         """Note that an answer has gone out."""
         self._answered = time.monotonic()
 
-    def encode(self, time: float, sample: ImuSample, motion: FreeMotion) -> bytes:
+    def encode(self, time: float, sample: ImuSample, emission: Emission) -> bytes:
         """Write a state as a line of JSON.
 
         Without blanks: SITL takes the number that begins two characters behind a key.
         """
+        motion = emission.flight
+        assert motion is not None
         values: dict[str, Any] = {
             "timestamp": time,
             "imu": {

@@ -18,7 +18,6 @@ from quadftc_model.samples import ImuSample, level_sample, sanitised
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.injector import FaultInjector, Faulty
 from quadftc_sim.simulator import Emission, Simulator
-from quadftc_sim.vehicle_simulation import FreeMotion
 
 NED_OF_ENU = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])  # x, y, z, w: half a turn about north-east
 FLU_OF_FRD = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about the nose
@@ -83,8 +82,11 @@ class AutopilotPhysics:
         """Fly one period under the outputs of a packet; return the state; None for no such packet."""
         raise NotImplementedError
 
-    def encode(self, time: float, sample: ImuSample, motion: FreeMotion) -> bytes:
-        """Write a state: what the IMU says at a time [s], and where the vehicle is."""
+    def sent(self) -> None:
+        """Note that an answer has gone out."""
+
+    def encode(self, time: float, sample: ImuSample, emission: Emission) -> bytes:
+        """Write a state: what the IMU says at a time [s], where the vehicle is, and its other sensors."""
         raise NotImplementedError
 
     def refuse(self, error: ValueError) -> None:
@@ -114,9 +116,7 @@ class AutopilotPhysics:
             injected = self._injector.apply(emission.sample_stamp_ns, emission.sample)
             self._sample = held(injected, self._sample)
             simulator.set_rotors(injected.rotors)
-        motion = emission.flight
-        assert motion is not None
-        line = self.encode(simulator.time, self._sample, motion)
+        line = self.encode(simulator.time, self._sample, emission)
         self.shown = Shown(emission, injected, line, command)
         return self.shown
 

@@ -16,8 +16,7 @@ from quadftc_model.samples import ImuSample
 from quadftc_sim.autopilot import AutopilotPhysics, ned_attitude, speeds_of_shares, to_frd
 from quadftc_sim.barometer import standard_pressure
 from quadftc_sim.injector import FaultInjector
-from quadftc_sim.simulator import Simulator
-from quadftc_sim.vehicle_simulation import FreeMotion
+from quadftc_sim.simulator import Emission, Simulator
 
 MOTORS = struct.Struct("<4f")  # shares of the largest speed
 STATE = struct.Struct("<18d")  # time, rate (3), force (3), attitude (4), velocity (3), place (3), pressure
@@ -76,11 +75,13 @@ class BetaflightPhysics(AutopilotPhysics):
         assert self.shown.command is not None
         self.fly(self.shown.command, self._simulator)
 
-    def encode(self, time: float, sample: ImuSample, motion: FreeMotion) -> bytes:
+    def encode(self, time: float, sample: ImuSample, emission: Emission) -> bytes:
         """Write a state.
 
         The firmware turns the sign of all three axes of the force, so they are backward, right, down here.
         """
+        motion = emission.flight
+        assert motion is not None
         east, north, up = motion.position
         longitude = LONGITUDE + math.degrees(east / EARTH) / math.cos(math.radians(LATITUDE))
         return STATE.pack(
