@@ -188,16 +188,6 @@ FREE_FAULTS = (
 SOON = ("trajectories.0.start=0.2 s", "trajectories.0.rise=1 s")
 
 
-def test_graph_equals_the_closed_loop_on_mujoco(fly_graph):
-    pytest.importorskip("mujoco")
-    faults = "faults=[{kind: loss, rotors: [2], value: 0.2, start: 0.4 s}]"
-    changes = ("name=mujoco", "plant.kind=mujoco", *SOON, faults)
-    scenario = with_duration(load_scenario(find_scenario("free_circle"), changes), 0.7)
-    flight = flight_from_bag(read_bag(fly_graph(scenario, "conventional")[0]))
-    assert np.nanmin(flight.rotor_effectiveness, axis=0) == pytest.approx([1.0, 0.8, 1.0, 1.0])
-    assert_equal_bit_for_bit(flight, fly(scenario, "conventional"))
-
-
 def test_graph_equals_the_closed_loop_in_free_flight(fly_graph):
     changes = (*SOON, f"faults=[{', '.join(FREE_FAULTS)}]")
     scenario = load_scenario(find_scenario("free_circle"), changes)

@@ -20,7 +20,7 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"], "mujoco": ["mujoco>=3.2"]},
+    extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
             "plant = quadftc_sim.executables:plant",

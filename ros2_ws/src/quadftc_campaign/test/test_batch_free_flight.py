@@ -88,10 +88,3 @@ def test_a_flight_in_c_is_that_in_numpy_and_is_judged_by_its_metrics(changes):
 def test_a_flight_in_jax_is_that_in_c(observer):
     flights = [batch_flight(free(observer=observer))]
     assert_same_outcome(*JaxEngine().fly(flights), *fly_all(flights))
-
-
-def test_a_plant_that_cannot_be_traced_flies_all_the_same():
-    pytest.importorskip("mujoco")
-    scenario = free(plant={"kind": "mujoco"}, duration=0.4, faults=[])
-    (outcome,) = fly_all([batch_flight(scenario)])
-    assert_same_metrics(outcome, fly(scenario), scenario)

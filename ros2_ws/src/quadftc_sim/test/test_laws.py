@@ -210,13 +210,6 @@ def test_every_vehicle_keeps_the_contract(grade, chosen):
     assert_contract(law, [vehicle_inputs(law, lane) for lane in range(LANES)], rtol=1e-9, atol=1e-11)
 
 
-def test_vehicle_in_mujoco_keeps_its_structure():
-    pytest.importorskip("mujoco")
-    law = vehicle("mujoco", "ahrs")
-    assert not law.plant.traceable
-    assert_state_keeps_its_structure(law, vehicle_inputs(law, 0))
-
-
 @pytest.mark.parametrize("kind", plants.names())
 def test_vehicle_does_not_move_without_time(kind):
     law = vehicle(kind, "ideal")

@@ -13,7 +13,6 @@ from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.injection import make_injection
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.plants.free_flight import FreeFlight
-from quadftc_sim.plants.mujoco import Mujoco
 from quadftc_sim.rotor_fault import healthy_rotors, true_effectiveness, with_fault
 
 DT = 0.004
@@ -57,9 +56,8 @@ def test_many_flights_have_each_their_condition():
     assert np.all(many.effectiveness[:, 1:] == 1.0)
 
 
-@pytest.mark.parametrize("make", [FreeFlight, Mujoco])
-def test_a_rotor_at_70_percent_gives_the_torque_and_thrust_of_the_closed_form(make):
-    plant = make(vehicle=VEHICLE, start=(0.0, 0.0, 50.0), motor_lag=False)
+def test_a_rotor_at_70_percent_gives_the_torque_and_thrust_of_the_closed_form():
+    plant = FreeFlight(vehicle=VEHICLE, start=(0.0, 0.0, 50.0), motor_lag=False)
     state = hovering(plant, fault("loss", value=0.3))
     missing = 0.3 * ROTORS.thrust_coefficient * VEHICLE.hover_speed**2
     force = plant.specific_force(state, 1.0)
@@ -73,9 +71,8 @@ def test_a_rotor_at_70_percent_gives_the_torque_and_thrust_of_the_closed_form(ma
     np.testing.assert_allclose(after.body_rate / 1e-5, torque / VEHICLE.inertia, rtol=5e-3)
 
 
-@pytest.mark.parametrize("make", [FreeFlight, Mujoco])
-def test_an_off_rotor_runs_down_with_the_lag_of_the_motor(make):
-    plant = make(vehicle=VEHICLE, start=(0.0, 0.0, 50.0))
+def test_an_off_rotor_runs_down_with_the_lag_of_the_motor():
+    plant = FreeFlight(vehicle=VEHICLE, start=(0.0, 0.0, 50.0))
     state = hovering(plant, fault("off"))
     for index in range(25):
         state = plant.step(state, HOVER, index * DT, DT)
@@ -98,9 +95,8 @@ def test_a_stuck_rotor_keeps_its_speed_and_a_saturated_one_ends_at_its_limit(mot
     assert state.speeds[1] == pytest.approx(limit, rel=1e-6)
 
 
-@pytest.mark.parametrize("make", [FreeFlight, Mujoco])
-def test_a_chipped_propeller_shakes_with_its_centrifugal_force_at_its_speed(make):
-    plant = make(vehicle=VEHICLE, start=(0.0, 0.0, 50.0), motor_lag=False)
+def test_a_chipped_propeller_shakes_with_its_centrifugal_force_at_its_speed():
+    plant = FreeFlight(vehicle=VEHICLE, start=(0.0, 0.0, 50.0), motor_lag=False)
     unbalance, dt = 2e-7, 1e-3
     state = hovering(plant, fault("chipped", unbalance=unbalance))
     forces = []
