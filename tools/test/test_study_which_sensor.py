@@ -39,12 +39,11 @@ def cells(table, first):
 
 
 def test_overview_and_kinds_count_what_was_named_and_lost():
-    tables, figures = make({"which_sensor": FRAME})
+    tables = make({"which_sensor": FRAME})
     found = cells(tables["which-sensor"], "`isolating`")
     assert found[:6] == ["3", "1", "100 %", "50 %", "33.3 %", "12 / 15.6 ms"]
     kinds = cells(tables["which-sensor-kinds"], "step")
     assert kinds == ["100 / 25 / 3", "50 / 25 / 90", "-"]
-    assert not figures
 
 
 def test_other_observers_are_held_against_the_same_flights_without_diagnosis():
@@ -57,16 +56,16 @@ def test_other_observers_are_held_against_the_same_flights_without_diagnosis():
     frame = side_by_side(every, other.drop("attitude_error_max_deg_ratio").drop("fault.misnamed_share"))
     assert sorted(frame["variant"]) == ["isolating", "other", "plain"]
     assert frame.filter(variant="other")["attitude_error_max_deg_ratio"].to_list() == [4.0]
-    table = make({"which_sensor": every, "which_sensor_observers": frame})[0]["which-sensor"]
+    table = make({"which_sensor": every, "which_sensor_observers": frame})["which-sensor"]
     assert [cells(table, f"`{name}`")[0] for name in ("isolating", "plain", "other")] == ["3", "3", "1"]
 
 
 def test_confusion_is_a_share_of_the_time_in_which_that_sensor_is_faulty():
-    table = make({"which_sensor": FRAME})[0]["which-sensor-confusion"]
+    table = make({"which_sensor": FRAME})["which-sensor-confusion"]
     assert cells(table, "none") == ["100 %", "100 %", "100 %", "100 %", "90 %", "30 s"]
     assert cells(table, "gyro")[2] == "50 %"
 
 
 def test_share_of_time_in_which_a_healthy_sensor_is_declared():
-    tables, _ = make({"which_sensor_healthy": FRAME})
+    tables = make({"which_sensor_healthy": FRAME})
     assert cells(tables["which-sensor-healthy"], "`isolating`")[1] == "10 %"

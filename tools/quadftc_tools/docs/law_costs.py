@@ -42,4 +42,4 @@ def _row(key: tuple[str, str, str], numpy: dict[str, Any], in_c: dict[str, Any])
 
 if __name__ == "__main__":
     known = {"folder": {"type": Path, "help": "directory of the results"}}
-    sys.exit(run_study("performance.md", lambda told: ({"law-costs": table(told.folder)}, {}), known))
+    sys.exit(run_study("performance.md", lambda told: {"law-costs": table(told.folder)}, known))

@@ -1,1 +1,1 @@
-"""The studies of docs/diagnosis.md and docs/robustness.md: tables and figures, from campaigns and logs."""
+"""The studies: tables of docs/, from campaigns and logs."""

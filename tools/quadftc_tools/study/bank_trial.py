@@ -42,7 +42,7 @@ from quadftc_model.samples import ALARMS, FaultEstimate, FaultObserverInputs, Im
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.assembly import sample_count
 from quadftc_tools.study.numbers import write_per_cent, write_times
-from quadftc_tools.study.page import NOTHING, Drawers, Tables, markdown, run_study
+from quadftc_tools.study.page import NOTHING, Tables, markdown, run_study
 
 Floats = NDArray[np.float64]
 Words = NDArray[np.bool_]  # (rows, sensors, axes)
@@ -255,7 +255,7 @@ def seeds_of(part: str, flights: int) -> range:
     return seeds[:flights]
 
 
-def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
+def make(options: argparse.Namespace) -> Tables:
     """Fly and judge; return the table."""
     seeds, observers = seeds_of(options.part, options.flights), options.observer or ["isolating", "bank"]
     for each in observers:
@@ -263,7 +263,7 @@ def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as workers:
         judge = functools.partial(judge_flight, observers=observers)
         flights = [*workers.map(judge, seeds, chunksize=10)]
-    return {"trial": tabulate(each for flight in flights for each in flight)}, {}
+    return {"trial": tabulate(each for flight in flights for each in flight)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

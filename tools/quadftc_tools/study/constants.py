@@ -28,7 +28,7 @@ import quadftc_fdi
 from quadftc_cli.screen import say
 from quadftc_tools.study.ablation import changed_copy
 from quadftc_tools.study.bank_trial import KINDS, NOBODY, PAGE, Judged, judge_flight, seeds_of
-from quadftc_tools.study.page import NOTHING, Drawers, Tables, markdown, run_study
+from quadftc_tools.study.page import NOTHING, Tables, markdown, run_study
 
 OBSERVER = "bank"
 PACKAGE = Path(quadftc_fdi.__file__).parent
@@ -138,7 +138,7 @@ def tell_change(usual: Sequence[Judged], judged: Sequence[Judged]) -> str:
     return ", ".join([*told, *([f"delay {longer:+d} %"] if longer else [])]) or "below 1 %"
 
 
-def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
+def make(options: argparse.Namespace) -> Tables:
     """Fly the trial with each number halved and doubled; return the table."""
     seeds, rows, known = seeds_of("tuning", options.flights), list[tuple[str, ...]](), read_constants()
     absent = {*options.number} - {each.name for each in known}
@@ -160,7 +160,7 @@ def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
                 row.append(tell_change(usual, judge(str(folder), seeds)))
             rows.append(tuple(row))
     table = markdown(HEAD, rows)
-    return {"most" if options.number else "constants": table}, {}
+    return {"most" if options.number else "constants": table}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

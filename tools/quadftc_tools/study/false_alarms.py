@@ -33,7 +33,7 @@ from quadftc_replay.overlay import faults_from
 from quadftc_replay.readers import read_log
 from quadftc_replay.writers import WRITERS
 from quadftc_tools.study.intervals import poisson_interval, share_interval
-from quadftc_tools.study.page import Drawers, Tables, markdown, run_study
+from quadftc_tools.study.page import Tables, markdown, run_study
 from quadftc_tools.study.random_flights import Loss
 from quadftc_tools.study.simulated_logs import fly_log
 
@@ -212,7 +212,7 @@ def _told(judged: Iterable[Judged]) -> Iterator[Judged]:
         yield each
 
 
-def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
+def make(options: argparse.Namespace) -> Tables:
     """Fly and judge; return the tables, and store the flights if asked to."""
     middle = options.seed + options.flights
     healthy = [each for seed in range(options.seed, middle) for each in _told(judge_seed(seed))]
@@ -226,7 +226,7 @@ def make(options: argparse.Namespace) -> tuple[Tables, Drawers]:
         tables["false-alarms-real"] = healthy_table([*judge_real(options.data)], "real")
     if options.write:
         FLIGHTS.write_text(json.dumps(stored(healthy, faulty), indent=1) + "\n", encoding="utf-8")
-    return tables, {}
+    return tables
 
 
 if __name__ == "__main__":

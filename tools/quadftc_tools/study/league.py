@@ -38,7 +38,7 @@ from quadftc_tools.study.league_flights import FLOWN, fly_log
 from quadftc_tools.study.league_logs import cut, read_healthy, read_labels
 from quadftc_tools.study.league_others import OTHERS_HEADINGS, other_rows
 from quadftc_tools.study.numbers import write_number
-from quadftc_tools.study.page import NOTHING, has_detector, markdown, run_study
+from quadftc_tools.study.page import NOTHING, markdown, run_study
 
 LASTS, EDGE = 2.0, 3.0  # s; of an overlaid fault, and from the begin of the flight
 WINDOW = 3.0  # s; that an observer sees before and after a fault
@@ -244,7 +244,7 @@ def make(data: Path) -> dict[str, str]:
     groups = read_healthy(data, labels)
     groups[SIMULATED] = [fly_log(name) for name in FLOWN]
     judges: dict[str, Judge] = {"diagnose": judge_offline}
-    for name in sorted(filter(has_detector, fault_observers.names())):
+    for name in sorted(name for name in fault_observers.names() if fault_observers.get(name).has_detector):
         judges[name] = judge_by(fault_observers.get(name))
     of_healthy, of_faults = list[list[str]](), list[list[str]]()
     for who, judge in judges.items():
@@ -268,4 +268,4 @@ def make(data: Path) -> dict[str, str]:
 
 if __name__ == "__main__":
     known = {"data": {"type": Path, "help": "directory of the recordings"}}
-    sys.exit(run_study("league.md", lambda options: (make(options.data), {}), known))
+    sys.exit(run_study("league.md", lambda options: make(options.data), known))

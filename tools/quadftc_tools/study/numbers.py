@@ -19,12 +19,6 @@ def write_count(values: Values) -> str:
     return " / ".join(NOTHING if value is None else f"{value:.0f}" for value in values)
 
 
-def write_bracketed(values: Values) -> str:
-    """Write a whole number, and another in brackets."""
-    first, second = values
-    return NOTHING if first is None or second is None else f"{first:.0f} ({second:.0f})"
-
-
 def write_degrees(values: Values) -> str:
     """Write angles [deg]."""
     return NOTHING if None in values else f"{write_numbers(values)} deg"
@@ -43,12 +37,6 @@ def write_times(values: Values) -> str:
     if max(known) >= 1.0:
         return f"{write_numbers(values)} s"
     return f"{' / '.join(write_number(1e3 * value) for value in known)} ms"
-
-
-def write_band(values: Values) -> str:
-    """Write a number and the band in which it should be."""
-    nees, low, high = values
-    return NOTHING if nees is None else f"{write_number(nees)} [{write_number(low)}, {write_number(high)}]"
 
 
 def write_number(value: float | None) -> str:

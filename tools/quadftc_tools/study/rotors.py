@@ -14,7 +14,7 @@ import polars as pl
 
 from quadftc_campaign.table import whole_flights
 from quadftc_tools.study.numbers import write_number, write_per_cent, write_times
-from quadftc_tools.study.page import NOTHING, RESULTS, Drawers, Tables, markdown, read_campaigns, run_study
+from quadftc_tools.study.page import NOTHING, RESULTS, Tables, markdown, read_campaigns, run_study
 
 NAMES = ("rotor_faults", "rotor_faults_healthy")
 JUDGED, PLAIN = "isolating", "undiagnosed"  # variants
@@ -111,13 +111,13 @@ def healthy_table(frame: pl.DataFrame) -> str:
     return markdown(HEALTHY_HEAD, [(str(flights.height), write_number(hours), *map(str, named))])
 
 
-def make(results: Path) -> tuple[Tables, Drawers]:
+def make(results: Path) -> Tables:
     """Return the tables of the campaigns that are there; ValueError if there is none."""
     frames, tables = read_campaigns(results, NAMES), dict[str, str]()
     for name, write in zip(NAMES, (fault_table, healthy_table), strict=True):
         if name in frames:
             tables[name.replace("_", "-")] = write(frames[name])
-    return tables, {}
+    return tables
 
 
 if __name__ == "__main__":

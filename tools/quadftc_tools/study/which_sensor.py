@@ -23,7 +23,7 @@ from quadftc_tools.study.numbers import (
     write_per_cent,
     write_times,
 )
-from quadftc_tools.study.page import RESULTS, Drawers, Tables, markdown, read_campaigns, run_study
+from quadftc_tools.study.page import RESULTS, Tables, markdown, read_campaigns, run_study
 
 FAULTS = ("which_sensor", "which_sensor_observers")  # the second: some of these flights, by other observers
 NAMES = (*FAULTS, "which_sensor_healthy")
@@ -55,7 +55,7 @@ def side_by_side(all_flights: pl.DataFrame, others: pl.DataFrame) -> pl.DataFram
     return with_ratios(frame.drop(f"{name}_ratio" for name in ERRORS if f"{name}_ratio" in frame.columns))
 
 
-def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
+def make(frames: Mapping[str, pl.DataFrame]) -> Tables:
     """Return the tables of the campaigns, by the names of their places."""
     tables: dict[str, str] = {}
     flown: dict[str, pl.DataFrame] = {}  # by variant: all flights of those that flew all, some of the others
@@ -73,7 +73,7 @@ def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Tables, Drawers]:
             tables[place] = markdown(HEALTHY, (_healthy(*part) for part in parts.items()))
     if flown:
         tables["which-sensor"] = markdown(OVERVIEW, (_overview(*part) for part in flown.items()))
-    return tables, {}
+    return tables
 
 
 def kinds_table(faults: pl.DataFrame) -> str:
