@@ -15,7 +15,6 @@ schemes: [supervised]              # of the scenario, or all; or observers and c
 observers: [sliding_mode, supervised]    # or all: every registered fault observer; or others: not crossed,
                                          # but the first scheme also with every one that no scheme has
 parameters: {supervised: {recovery: 1 s}}            # of observers named there, beside the scenario's
-levels: {supervised: {threshold: [3, 8]}}            # more variants: supervised@3, supervised@8
 controllers: [ismc, pid]
 vary:
   faults.0.value: {uniform: [0.5 deg, 5 deg], sign: random}
@@ -138,7 +137,6 @@ class CampaignKeys(_Keys):
     schemes: list[str] | Literal["all"] = []
     observers: list[str] | Literal["all", "others"] = []
     parameters: dict[str, dict[str, Any]] = {}
-    levels: dict[str, dict[str, list[float]]] = {}
     controllers: list[str] = []
     vary: dict[VaryingPath, Drawn] = {}
     precision: Literal["float64", "float32"] = "float64"
@@ -274,10 +272,10 @@ def bags_in(directory: Path) -> tuple[Path, ...]:
 
 
 def _find_unknown_parts(keys: CampaignKeys, scenario: Scenario) -> Iterator[Problem]:
-    if keys.observers == OTHERS and (keys.controllers or keys.levels):
-        yield Problem(("observers",), "'others' cannot be crossed with controllers or levels")
+    if keys.observers == OTHERS and keys.controllers:
+        yield Problem(("observers",), "'others' cannot be crossed with controllers")
     known = {"schemes": tuple(scenario.schemes), "controllers": controllers.names()}
-    known |= dict.fromkeys(("observers", "parameters", "levels"), fault_observers.names())
+    known |= dict.fromkeys(("observers", "parameters"), fault_observers.names())
     for key, there in known.items():
         given = getattr(keys, key)
         names = [] if given in (ALL, OTHERS) else list(given)
@@ -300,21 +298,15 @@ def _variants(keys: CampaignKeys, scenario: Scenario) -> tuple[Variant, ...]:
         as_they_are = [Variant(name, name, None, None) for name in schemes]
         return (*as_they_are, *(Variant(n, schemes[0], n, None, tuple(p.items())) for n, p in others))
     named = every if keys.observers == ALL else keys.observers
-    observers = [(name, name, keys.parameters.get(name, {})) for name in named]
-    observers += [
-        (f"{name}@{value:g}", name, {**keys.parameters.get(name, {}), parameter: value})
-        for name, swept in keys.levels.items()
-        for parameter, values in swept.items()
-        for value in values
-    ]
+    observers = [(name, keys.parameters.get(name, {})) for name in named]
     own_scheme = len(schemes) > 1 or keys.source.kind == "loop" or not observers
     return tuple(
         Variant(
-            "+".join(filter(None, (scheme if own_scheme else None, name, controller))),
+            "+".join(filter(None, (scheme if own_scheme else None, observer, controller))),
             *(scheme, observer, controller),
             tuple(parameters.items()),
         )
         for scheme in schemes
-        for name, observer, parameters in observers or [(None, None, {})]
+        for observer, parameters in observers or [(None, {})]
         for controller in keys.controllers or [None]
     )

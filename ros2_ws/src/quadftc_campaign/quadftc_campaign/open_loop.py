@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,10 +20,8 @@ from quadftc_campaign.open_motion import Alone, MovedImu, simulate
 from quadftc_campaign.table import Row, Rows
 from quadftc_fdi.observation import Observation
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
-from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_over_std_dev, estimate_size
 from quadftc_flight.diagnosis_metrics.which_sensor import summed_confusion
-from quadftc_flight.fault_schedule import FaultEvent, attitude_events
-from quadftc_flight.flight import Flight
+from quadftc_flight.fault_schedule import attitude_events
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import Fault, Scenario
 from quadftc_model.composition import Composition
@@ -35,14 +33,7 @@ from quadftc_replay.imu_recording import Recording
 from quadftc_replay.open_loop import OpenLoop
 from quadftc_replay.overlay import replay_events
 
-if TYPE_CHECKING:
-    from jaxtyping import Float
-    from numpy.typing import NDArray
-
 DELAY = "source.delay"
-WITHIN = 5.0  # s; a fault that is found later does not count in the ROC
-SIZES = np.radians(np.geomspace(0.02, 50.0, 86))  # rad; levels for the size of an estimate
-RATIOS = np.geomspace(0.5, 500.0, 76)  # 1; levels for its size over its standard deviation
 # those of tracking have no value here, but the reader looks for them
 WHOLE_METRICS = ("tracking_rmse_deg", "tracking_max_deg", "fault_estimate_rmse_deg", "fault_estimate_max_deg")
 
@@ -59,12 +50,11 @@ def fly_open(
         diagnosed = diagnose(recording, law, injections, scenario.seed, campaign.engine)
         flight = flight_of(recording, diagnosed)
         every = replay_events(recording, faults)
-        events = attitude_events(every)
         metrics = flight_metrics(flight, (), every)
         diagnosis: dict[str, Any] = metrics["diagnosis"]
         records: Rows = diagnosis.pop("events")
         specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
-        for event, record in zip(events, records, strict=True) if records else ():
+        for event, record in zip(attitude_events(every), records, strict=True) if records else ():
             record["spec"] = specs.get((event.axis, event.start))
         whole: Row = {
             DELAY: delay,
@@ -73,7 +63,6 @@ def fly_open(
             **flatten({name: metrics[name] for name in WHOLE_METRICS}),
             **flatten(diagnosis),
             **summed_confusion(metrics["sensors"]),
-            **score_counts(flight, events),
         }
         progress(len(recording))
         yield whole, records
@@ -99,30 +88,6 @@ def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Record
         if stop <= end:  # what the samples are too short for is left out
             faults.append(Fault(dataclasses.replace(injection, start=start, stop=stop), given))
     return recording, faults, delay
-
-
-def score_counts(
-    flight: Flight, events: Sequence[FaultEvent], levels: Float[NDArray[Any], " m"] | None = None
-) -> Row:
-    """Count what each level of a detector of the estimate would say; the counts of several flights add up.
-
-    The level is one of the size of the estimate [rad], or, where the observer gives a standard deviation, of
-    the size over it [1]. ``roc.alarms`` are healthy samples at or above each of ``roc.levels``, of
-    ``roc.healthy``; ``roc.found`` are faults at or above each within `WITHIN` of the onset, of
-    ``roc.faults``.
-    """
-    by_ratio = bool((flight.fault_std_dev > 0.0).any())
-    score = estimate_over_std_dev if by_ratio else estimate_size
-    if levels is None:
-        levels = RATIOS if by_ratio else SIZES
-    healthy, tops = map(np.sort, detection_scores(flight, events, score, WITHIN))
-    return {
-        "roc.levels": levels.tolist(),
-        "roc.alarms": (len(healthy) - np.searchsorted(healthy, levels, side="left")).tolist(),
-        "roc.healthy": len(healthy),
-        "roc.found": (len(tops) - np.searchsorted(tops, levels, side="left")).tolist(),
-        "roc.faults": len(tops),
-    }
 
 
 def flatten(nested: Mapping[str, Any], prefix: str = "") -> Row:

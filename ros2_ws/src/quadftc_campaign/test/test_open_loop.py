@@ -16,15 +16,11 @@ from quadftc_campaign.campaign_file import bags_in, load_campaign
 from quadftc_campaign.campaign_run import chunks_of, fly_chunk
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.flights import flight_scenario
-from quadftc_campaign.open_loop import WITHIN, prepare, score_counts
+from quadftc_campaign.open_loop import prepare
 from quadftc_campaign.open_motion import simulate
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_fdi.fault_observer import fault_observers
-from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_size, roc
-from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.flight import VECTORS, Flight, unknown_flight
 from quadftc_flight.scenario import ScenarioError, parse_scenario, with_seed
-from quadftc_model.samples import AXES
 from quadftc_sim.sensors import GRADES
 
 DEG = math.pi / 180.0
@@ -48,7 +44,6 @@ source: {kind: motion}
 flights: 3
 seed: 7
 observers: [threshold]
-levels: {threshold: {angle_threshold: [0.05]}}
 vary:
   references.*.amplitude: {uniform: [1 deg, 4 deg], size: 3}
   faults.*:
@@ -63,19 +58,6 @@ def written(tmp_path, text, recordings=None, engine=None, base=BASE):
     path = tmp_path / "campaign.yaml"
     path.write_text(text)
     return load_campaign(path, recordings=recordings, engine=engine)
-
-
-def flight_with(**columns) -> Flight:
-    """30 s at 100 Hz; what is not given is zero."""
-    count = 3000
-    stamp_ns = np.arange(1, count + 1) * 10_000_000
-    return dataclasses.replace(
-        unknown_flight(stamp_ns),
-        delivered=np.ones(count, np.bool_),
-        **{name: np.zeros((count, 3)) for name in VECTORS}
-        | {"fault_state": np.ones((count, 3), np.uint8)}
-        | columns,
-    )
 
 
 def test_drawn_components_keep_the_axes_and_times_of_the_faults_in_their_place(tmp_path):
@@ -190,9 +172,9 @@ def test_an_observer_that_cannot_be_traced_takes_part_all_the_same(tmp_path):
 
 def test_each_fault_of_each_observer_is_a_row(tmp_path):
     campaign = written(tmp_path, CAMPAIGN)
-    assert [variant.name for variant in campaign.variants] == ["threshold", "threshold@0.05"]
+    assert [variant.name for variant in campaign.variants] == ["threshold"]
     frame = table_of(fly_chunk(campaign, range(3)))
-    assert frame.height == 3 * 2 * 2
+    assert frame.height == 3 * 2
     assert frame["fault.kind"].is_in(["step", "ramp"]).all()
     assert set(frame["observer"]) == {"threshold"}
     steps = frame.filter(frame["fault.kind"] == "step")
@@ -203,26 +185,10 @@ def test_each_fault_of_each_observer_is_a_row(tmp_path):
 
 
 def test_an_observer_without_edit_of_any_list_takes_part(tmp_path):
-    text = CAMPAIGN.replace("observers: [threshold]", "observers: all").replace("levels:", "# levels:")
+    text = CAMPAIGN.replace("observers: [threshold]", "observers: all")
     names = {variant.name for variant in written(tmp_path, text).variants}
     assert {"supervised", "sliding_mode", "threshold", "augmented_kalman"} <= names
     assert "none" not in names
-
-
-def test_score_counts_are_the_curve_of_the_scores():
-    fault = np.zeros((3000, 3))
-    fault[1000:2000] = (0.005, 0.02, 0.05)
-    estimate = 0.01 * np.random.default_rng(4).standard_normal((3000, 3)) + 0.5 * fault
-    flight = flight_with(fault=fault, fault_estimate=estimate)
-    events = [FaultEvent(axis, "step", 10.0, 20.0) for axis in AXES]
-    scores = detection_scores(flight, events, estimate_size, within=WITHIN)
-    curve = roc(np.concatenate(scores), np.repeat([False, True], [len(part) for part in scores]))
-    counts = score_counts(flight, events, curve.threshold[:0:-1])
-    assert len(counts["roc.alarms"]) > 3
-    assert counts["roc.healthy"] == 3 * (3000 - 1000 - 500)  # but for the faults and the grace after them
-    shares = np.array(counts["roc.alarms"]) / counts["roc.healthy"]
-    np.testing.assert_allclose(shares, curve.false_alarm_share[:0:-1])
-    np.testing.assert_allclose(np.array(counts["roc.found"]) / 3, curve.detection_probability[:0:-1])
 
 
 # --- recordings
@@ -282,7 +248,6 @@ def test_samples_alone_do_not_fly_in_jax(tmp_path):
         (("kind: motion", "kind: motion, delay: 3"), "source.delay: 3: expected a distribution"),
         (("kind: motion", "kind: orbit"), "source.kind: 'orbit'"),
         (("[threshold]", "[treshold]"), r"observers\[0\]: no 'treshold'"),
-        (("levels: {threshold", "levels: {treshold"), "levels.treshold: no 'treshold'"),
         (("faults.*:", "duration.*:"), "'duration' is no list of the scenario"),
     ],
 )

@@ -7,20 +7,13 @@ detector says fault, a score made of it says nothing of that detector: fly it wi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.metrics import auc, roc_curve
 
-from quadftc_flight.diagnosis_metrics.columns import Columns, Floats, finite
-from quadftc_flight.diagnosis_metrics.verdicts import has_size, truth
-from quadftc_flight.fault_schedule import FaultEvent, attitude_events
-from quadftc_flight.flight import Flight
-from quadftc_model.samples import AXES
-
-Score = Callable[[Flight], Floats]  # (n, 3); NaN where there is none
+from quadftc_flight.diagnosis_metrics.columns import Floats
 
 
 class Roc(NamedTuple):
@@ -40,32 +33,3 @@ def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
         raise ValueError(f"faulty: no {missing} score among {len(labels)}; a curve needs both")
     false_alarms, detections, thresholds = roc_curve(labels, score)
     return Roc(thresholds, false_alarms, detections, float(auc(false_alarms, detections)))
-
-
-def detection_scores(
-    flight: Flight, events: Sequence[FaultEvent], score: Score, within: float
-) -> tuple[Floats, Floats]:
-    """Return the scores (n,) of all healthy samples, and the highest score (m,) of each fault.
-
-    A fault has a size, and a score within ``within`` [s] of its onset and before its end. Healthy is an axis
-    as for the false-alarm share of `diagnosis_metrics`: outside faults and the grace after them.
-    """
-    columns, scores, events = Columns(flight), score(flight), attitude_events(events)
-    healthy = finite(scores[truth(columns, events, [True] * len(events)).healthy])
-    highest: list[float] = []
-    for event in (event for event in events if has_size(columns, event)):
-        rows = columns.rows(event.start, min(event.start + within, event.stop))
-        values = finite(scores[rows, AXES.index(event.axis)])
-        highest.extend(values.max(keepdims=True) if len(values) else ())
-    return healthy, np.asarray(highest, np.float64)
-
-
-def estimate_size(flight: Flight) -> Floats:
-    """Size of the fault estimate [rad] (n, 3)."""
-    return np.abs(flight.fault_estimate)
-
-
-def estimate_over_std_dev(flight: Flight) -> Floats:
-    """Size of the fault estimate over its standard deviation [1] (n, 3); NaN where there is none."""
-    given = flight.fault_std_dev > 0.0
-    return np.where(given, np.abs(flight.fault_estimate) / np.where(given, flight.fault_std_dev, 1.0), np.nan)
