@@ -54,7 +54,6 @@ SLOW_FILES = {
     "test_attack_logs.py",
     "test_attack_pages.py",
     "test_attack_stops.py",
-    "test_augmented_kalman.py",
     "test_bad_messages.py",
     "test_bad_parameters.py",
     "test_bag_repair.py",

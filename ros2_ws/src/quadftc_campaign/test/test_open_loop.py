@@ -187,7 +187,7 @@ def test_each_fault_of_each_observer_is_a_row(tmp_path):
 def test_an_observer_without_edit_of_any_list_takes_part(tmp_path):
     text = CAMPAIGN.replace("observers: [threshold]", "observers: all")
     names = {variant.name for variant in written(tmp_path, text).variants}
-    assert {"supervised", "sliding_mode", "threshold", "augmented_kalman"} <= names
+    assert {"supervised", "sliding_mode", "threshold"} <= names
     assert "none" not in names
 
 

@@ -32,7 +32,7 @@ FAULTS = (
     "drift axis=yaw rate=1deg/s start=20s stop=25s",
     "dropout channel=imu probability=0.5 start=12s stop=13s",
 )
-OPTIONS = ReplayOptions(observer="augmented_kalman", faults=FAULTS, seed=3)
+OPTIONS = ReplayOptions(observer="supervised", faults=FAULTS, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_whole_replay_comes_back_as_it_was_made(recording, replayed):
     found = read(replayed)
     assert found.warnings == ()
     assert found.is_whole
-    assert (found.name, found.observer, found.duration) == ("sway-augmented_kalman", "augmented_kalman", 30.0)
+    assert (found.name, found.observer, found.duration) == ("sway-supervised", "supervised", 30.0)
     for field in dataclasses.fields(Flight):
         np.testing.assert_array_equal(getattr(found.flight, field.name), getattr(expected, field.name))
     assert found.summary == json.loads((replayed / "summary.json").read_text())

@@ -1,0 +1,1 @@
+"""Fault observers of the literature, to compare with."""
