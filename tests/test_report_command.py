@@ -49,15 +49,6 @@ def test_directory_of_runs_gives_a_page_and_figures_for_print(runs: Path, tmp_pa
     assert sorted(path.name for path in out.parent.iterdir()) == ["report.html", "report_figures"]
 
 
-def test_page_without_figures_for_print_names_none(runs: Path, tmp_path: Path):
-    tables = tmp_path / "tables"
-    done = report(runs / "busy-proposed", "--tables", tables, "--out", tmp_path / "report.html")
-    assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "tables"]
-    assert sorted(path.name for path in tables.iterdir()) == ["busy.csv", "busy.tex"]
-    assert "report_figures" not in (tmp_path / "report.html").read_text(encoding="utf-8")
-
-
 def test_figure_is_drawn_alone_and_an_unknown_one_is_refused(runs: Path, tmp_path: Path):
     done = report(runs, "--figure", "busy-torque", "--out", tmp_path / "some.html")
     assert done.returncode == 0, done.stderr
@@ -96,6 +87,8 @@ def test_runs_and_replays_go_into_one_report(runs: Path, replayed: Path, tmp_pat
     assert "report on 2 runs and 1 replay: " in done.stdout
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<h1>2 recorded runs of 1 scenario and 1 replay of 1 recording</h1>" in page
+    assert "report_figures" not in page
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
 def test_replay_is_refused_by_the_check_in_one_line(replayed: Path):

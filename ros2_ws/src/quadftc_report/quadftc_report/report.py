@@ -52,21 +52,17 @@ def write_report(
     out: Path,
     *,
     with_figures: bool = False,
-    tables: Path | None = None,
     progress: Progress = lambda _what, _share: None,
 ) -> ReportFiles:
     """Write the report on recorded runs and replays: a page that needs no other file and no network.
 
     ``paths`` are runs and replays, or directories of such; one without any raises BagError. No file is
     replaced before all are written. ``with_figures``: a directory beside the page gets the figures for print
-    (PNG, PDF). ``tables``: a directory that gets the metrics as CSV and LaTeX. ``progress`` is called with
-    the current task and the share of the work that is done.
+    (PNG, PDF). ``progress`` is called with the current task and the share of the work that is done.
     """
     # refuse a place before anything is read or drawn
     folder = figures_beside(out)
     _check_place(out, folder)
-    if tables is not None:
-        _check_folder(tables)
     found = _gather(paths, progress)
 
     from quadftc_report.headline import headline
@@ -82,12 +78,6 @@ def write_report(
             if with_figures:
                 _draw(found.figures, folder, Path(name, folder.name), progress)
             made.replace(out)
-        if tables is not None:
-            from quadftc_report.table_files import write_tables
-
-            tables.mkdir(parents=True, exist_ok=True)
-            for part in (*found.flown, *found.replayed):
-                write_tables(part.comparison, tables)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
     names = ([run.name for part in parts for run in part.comparison.runs] for parts in found[:2])

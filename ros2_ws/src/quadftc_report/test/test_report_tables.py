@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from quadftc_model import samples
 from quadftc_report.comparison import Comparison, compare, is_ideal, list_injections, metric, tell_run
 from quadftc_report.headline import headline
 from quadftc_report.scene import rotor_shades
-from quadftc_report.table_files import write_tables
 from quadftc_report.tables import Cell, metric_tables
 from quadftc_report.wording import each_axis, plain, short
 
@@ -282,21 +280,6 @@ def test_verdict_is_on_the_best_run_beside_the_one_without_diagnosis(three, runs
     )
     said = headline(Comparison((declared,), "one")).sentence
     assert " names 2 of 5 faults after 35 ms (median), gives 1 false alarm and " in said
-
-
-def test_tables_hold_every_number_and_are_latex(three, runs, tmp_path):
-    table, latex = write_tables(three, tmp_path)
-    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
-    (found,) = [
-        row["value"]
-        for row in rows
-        if (row["run"], row["metric"], row["axis"]) == ("plain", "tracking_rmse_deg", "yaw")
-    ]
-    assert float(found) == metric(runs["plain"], "tracking_rmse_deg.yaw")
-    text = latex.read_text(encoding="utf-8")
-    assert r"my-fast\_one & roll & " in text
-    assert r"[N m/s] \\" in text
-    assert len({line.count("&") for line in text.splitlines() if "&" in line}) == 1
 
 
 def test_sentence_counts_faults_found_and_false_alarms(runs):

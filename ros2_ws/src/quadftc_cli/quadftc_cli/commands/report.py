@@ -35,9 +35,6 @@ def report(
             " number in the paper (3 to 14); may be repeated.",
         ),
     ] = [],  # noqa: B006
-    tables: Annotated[
-        Path | None, Option(metavar="DIR", help="Write the metrics as CSV and LaTeX (booktabs), too.")
-    ] = None,
 ) -> None:
     """Compare recorded runs and replays: one HTML page with figures and metrics, side by side.
 
@@ -58,12 +55,10 @@ def report(
             drawn = write_figures(bags, figures_beside(out), figure, progress=progress)
             say(*(f"figure: {file}" for file in drawn))
             return
-        written = write_report(bags, out, with_figures=figures, tables=tables, progress=progress)
+        written = write_report(bags, out, with_figures=figures, progress=progress)
     warn(written.warnings)
     pairs = ((len(written.runs), "run"), (len(written.replays), "replay"))
     counts = listing([counted(number, what) for number, what in pairs if number])
     say(*written.verdicts, f"report on {counts}: {written.page}")
     if written.figures is not None:
         say(f"figures (PNG, PDF): {written.figures}")
-    if tables is not None:
-        say(f"tables (CSV, LaTeX): {tables}")
