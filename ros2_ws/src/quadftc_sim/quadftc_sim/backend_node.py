@@ -35,6 +35,7 @@ from quadftc_sim.plant import plants
 from quadftc_sim.plant_output import FlightOutput
 from quadftc_sim.sensors import GRADES, ImuSensor
 from quadftc_sim.simulator import Simulator
+from quadftc_sim.vehicle_simulation import VehicleSimulation
 
 LOOK = 0.1  # s; how often the socket's thread looks whether it is to end
 PACKET = 2048  # bytes; more than any packet has
@@ -55,6 +56,41 @@ class BackendParameters:
         "127.0.0.1", doc="of this machine, where the autopilot's packets come; 0.0.0.0: any"
     )
     port: int = parameter(9002, low=0, high=65535, doc="UDP port there; 0: any that is free")
+
+
+class BackendOutput:
+    """What is published of a vehicle that an autopilot flies, a `law` of motion with `faults`."""
+
+    def __init__(self, node: GraphNode, law: VehicleSimulation, faults: InjectorPorts) -> None:
+        plant: Any = law.plant
+        self._vehicle, self._faults = plant.vehicle, faults
+        self._publish_speeds = node.publishes("rotors/command")
+        self._speeds = RotorsWire(plant.command_size, node.base_frame)
+        self._publish_torque, self._body = node.publishes("torque/command"), VectorWire(node.base_frame)
+        self._publish_attitude, self._earth = node.publishes("plant/attitude"), VectorWire(EARTH_FRAME)
+        self._publish_rate = node.publishes("plant/rate")
+        self._flight = FlightOutput(node, law)
+        self._last: Shown | None = None
+
+    def show(self, shown: Shown) -> None:
+        """Publish a sample as the autopilot got it, the truth, and how the one before was answered."""
+        if self._last is not None:
+            self._show_command(self._last, shown)
+        emission, self._last = shown.emission, shown
+        if shown.injected is not None:
+            self._faults.publish(emission.sample_stamp_ns, shown.injected)
+        self._publish_attitude(self._earth(emission.stamp_ns, emission.angles))
+        self._publish_rate(self._body(emission.stamp_ns, emission.body_rate))
+        self._flight.show_truth(emission)
+
+    def _show_command(self, last: Shown, shown: Shown) -> None:
+        """Publish what the autopilot asks of the rotors after a sample."""
+        if shown.command is None or last.injected is None or not last.injected.present:
+            return
+        stamp_ns = last.emission.sample_stamp_ns
+        torque, _ = wrench_from_speeds(self._vehicle, shown.command)
+        self._publish_speeds(self._speeds(stamp_ns, shown.command))
+        self._publish_torque(self._body(stamp_ns, torque))
 
 
 class BackendNode(GraphNode):
@@ -81,14 +117,8 @@ class BackendNode(GraphNode):
         self._values |= {"start": [*plant.start[:2], -plant.feet[0, 2]], "rotors": plant.command_size}
         make = partial(injector_from, self._values, self._engine)
         self._faults = InjectorPorts(self, make, plant.command_size, flies=True, under="fault_injector")
-        self._vehicle = plant.vehicle
+        self._output = BackendOutput(self, simulator.law, self._faults)
         self.physics: Any = self.make_physics(self._simulator, self._faults.restart)
-        self._publish_speeds = self.publishes("rotors/command")
-        self._speeds = RotorsWire(plant.command_size, self.base_frame)
-        self._publish_torque, self._body = self.publishes("torque/command"), VectorWire(self.base_frame)
-        self._publish_attitude, self._earth = self.publishes("plant/attitude"), VectorWire(EARTH_FRAME)
-        self._publish_rate = self.publishes("plant/rate")
-        self._flight = FlightOutput(self, simulator.law)
         self._socket = self._open_socket()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="autopilot", daemon=True)
@@ -167,28 +197,6 @@ class BackendNode(GraphNode):
 
     def _serve(self) -> None:
         """Fly until the node ends, and publish each sample."""
-        last: Shown | None = None
         while not self._ending.is_set():
             for shown in self.exchange():
-                if last is not None:
-                    self._show_command(last, shown)
-                self._show(shown)
-                last = shown
-
-    def _show_command(self, last: Shown, shown: Shown) -> None:
-        """Publish how the autopilot has answered a sample: what it asks of the rotors."""
-        if shown.command is None or last.injected is None or not last.injected.present:
-            return
-        stamp_ns = last.emission.sample_stamp_ns
-        torque, _ = wrench_from_speeds(self._vehicle, shown.command)
-        self._publish_speeds(self._speeds(stamp_ns, shown.command))
-        self._publish_torque(self._body(stamp_ns, torque))
-
-    def _show(self, shown: Shown) -> None:
-        """Publish a sample as the autopilot got it, and the truth."""
-        emission = shown.emission
-        if shown.injected is not None:
-            self._faults.publish(emission.sample_stamp_ns, shown.injected)
-        self._publish_attitude(self._earth(emission.stamp_ns, emission.angles))
-        self._publish_rate(self._body(emission.stamp_ns, emission.body_rate))
-        self._flight.show_truth(emission)
+                self._output.show(shown)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
@@ -16,6 +16,9 @@ from quadftc_flight.run_files import RunError
 from quadftc_sitl.firmware import SitlError, die_with_parent, parameter_file
 from quadftc_sitl.plan import SitlPlan, plan_of_text
 from quadftc_sitl.sitl_flight import SUMMARY, fly_sitl
+
+if TYPE_CHECKING:
+    from quadftc_sitl.live import Live
 
 JOB = "job.yaml"  # what a folder was flown with
 
@@ -44,9 +47,13 @@ def job_of(plan: SitlPlan, binary: Path, parameters: Mapping[str, float], out: P
 
 
 def fly_jobs(
-    jobs: Sequence[Job], workers: int, resume: bool, follow: Callable[[int], object]
+    jobs: Sequence[Job],
+    workers: int,
+    resume: bool,
+    follow: Callable[[int], object],
+    live: Live | None = None,
 ) -> list[dict[str, Any]]:
-    """Fly jobs, so many side by side; return their summaries in order.
+    """Fly jobs, so many side by side; return their summaries in order. Only one at a time can be ``live``.
 
     With ``resume`` those that were flown are kept. A flight that could not be flown has a summary with
     ``error``, and none is kept of it. ``follow(done)`` is called after each.
@@ -56,7 +63,7 @@ def fly_jobs(
     left = [number for number in range(len(jobs)) if number not in found]
     if workers == 1:
         for number in left:
-            found[number] = fly_job(jobs[number])
+            found[number] = fly_job(jobs[number], live)
             follow(len(found))
         return [found[number] for number in range(len(jobs))]
     with ProcessPoolExecutor(workers, get_context("spawn"), initializer=die_with_parent) as pool:
@@ -71,11 +78,11 @@ def fly_jobs(
     return [found[number] for number in range(len(jobs))]
 
 
-def fly_job(job: Job) -> dict[str, Any]:
+def fly_job(job: Job, live: Live | None = None) -> dict[str, Any]:
     """Fly one job in this process; return its summary."""
     plan = plan_of_text(job.text, job.scheme, job.name)
     try:
-        result = fly_sitl(plan, job.binary, job.out, job.parameters, engine=job.engine)
+        result = fly_sitl(plan, job.binary, job.out, job.parameters, engine=job.engine, live=live)
     except SitlError as error:
         return {"name": job.name, "error": str(error)}
     (job.out / JOB).write_text(job.inputs, encoding="utf-8")

@@ -54,6 +54,7 @@ class Pilot(Commander):
         self.done, self.landed = False, False
         self.began: float | None = None  # time at scenario time 0 [s]
         self.lost: float | None = None  # since when the vehicle is lost [s]; set from outside
+        self.end = math.inf  # of the mission [s]; may be set to an earlier time
         self._plan, self._begin = plan, begin
         self._trajectories = tuple(part.law for part in plan.scenario.trajectories)
         self._first = combined(self._trajectories, 0.0)
@@ -101,6 +102,7 @@ class Pilot(Commander):
             yield from self._upload_mission()
             yield from self._set_mode("AUTO")
         self.began = self.journal.now
+        self.end = min(self.end, self.began + self._plan.scenario.duration)
         self._begin()
         yield from self._follow()
         yield from self._come_down()
@@ -198,9 +200,9 @@ class Pilot(Commander):
         return [(HOME[0] + y / DEGREE, HOME[1] + x / east, float(z)) for x, y, z in places]
 
     def _follow(self) -> Steps:
-        """Follow the trajectories for the length of the scenario, and put its own faults on and off."""
+        """Follow the trajectories to the end of the mission, and put its own faults on and off."""
         begin = self.journal.now
-        while self.journal.now < begin + self._plan.scenario.duration and self.flies:
+        while self.journal.now < self.end and self.flies:
             if self.journal.asked_mode == MODE_NUMBERS["GUIDED"]:
                 self._send_setpoint()
             for fault in self._plan.section.faults:

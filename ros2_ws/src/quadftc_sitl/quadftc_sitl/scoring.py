@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from quadftc_flight.scenario import Fault
 from quadftc_model.samples import DiagnosisReport
 from quadftc_model.spec import parse_spec
 from quadftc_sim.injection import AXES
@@ -22,10 +23,10 @@ SIZES = ("value", "rate", "sigma")  # of our faults, what says how large they ar
 ATTITUDE = ("roll", "pitch", "yaw")
 
 
-def describe_faults(plan: SitlPlan) -> list[dict[str, Any]]:
-    """Return the truth: what fails in a flight, where and when [s]."""
+def describe_faults(plan: SitlPlan, ours: Iterable[Fault] | None = None) -> list[dict[str, Any]]:
+    """Return the truth: what fails in a flight, where and when [s]; ``ours`` in place of the scenario's."""
     faults: list[dict[str, Any]] = []
-    for fault in plan.scenario.faults:
+    for fault in plan.scenario.faults if ours is None else ours:
         injection, channel = fault.injection, fault.injection.channel
         numbers = np.flatnonzero(injection.mask).tolist()
         if channel == ROTOR:

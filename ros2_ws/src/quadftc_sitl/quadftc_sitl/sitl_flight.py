@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -13,7 +14,7 @@ import time
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import yaml
@@ -22,6 +23,7 @@ from quadftc_control.trajectory import combined
 from quadftc_flight.checks import check_results
 from quadftc_flight.junit import write_file
 from quadftc_model.versions import software_version
+from quadftc_sim.injection import CHANNEL_UNITS
 from quadftc_sitl.firmware import (
     PARAMETERS,
     Firmware,
@@ -37,6 +39,9 @@ from quadftc_sitl.plan import SitlPlan
 from quadftc_sitl.recording import Recorder
 from quadftc_sitl.scoring import describe_faults, metrics_of, noticed, observed
 from quadftc_sitl.verdicts import diagnose_log_of
+
+if TYPE_CHECKING:
+    from quadftc_sitl.live import Live, LiveFlight
 
 SUMMARY, BAG, SCENARIO = "sitl.json", "bag", "scenario.yaml"
 LOOK = 2.0  # s of the wall clock; how often the sockets of the firmware are read
@@ -64,11 +69,12 @@ def fly_sitl(
     parameters: Mapping[str, float] | None = None,
     physics_port: int = 0,
     engine: str = "c",
+    live: Live | None = None,
 ) -> dict[str, Any]:
     """Fly a plan with ArduPilot's simulation in a new folder; return the summary that is written there.
 
-    ``parameters`` come on top of those of the plan. A `SitlError` says why nothing was flown; OSError, why
-    nothing could be written.
+    ``parameters`` come on top of those of the plan. With ``live`` others may watch, and inject faults. A
+    `SitlError` says why nothing was flown; OSError, why nothing could be written.
     """
     begin = time.perf_counter()
     out.mkdir(parents=True)
@@ -79,13 +85,19 @@ def fly_sitl(
     place = combined(tuple(part.law for part in plan.scenario.trajectories), 0.0).position
     start = float(place[0]), float(place[1])
     physics, link, server = Physics(plan, start, engine), MavlinkLink(), PhysicsSocket(physics_port)
-    channels = {fault.injection.channel for fault in plan.scenario.faults}
+    scheduled = {fault.injection.channel for fault in plan.scenario.faults}
+    channels = scheduled if live is None else CHANNEL_UNITS
     recorder = Recorder(out / BAG, {SCENARIO: text.encode()}, channels)
     arguments = ardupilot_arguments(binary, server.port, link.port)
     arguments += ["--home", ",".join(f"{value:.9g}" for value in (*HOME, 90.0))]
     flight = Flight(plan, physics, server, link, recorder)
     try:
-        with Firmware(arguments, out) as firmware:
+        with contextlib.ExitStack() as stack:
+            if live is not None:
+                from quadftc_sitl.live import LiveFlight  # starts ROS
+
+                flight.live = stack.enter_context(LiveFlight(live, plan, physics, flight.pilot))
+            firmware = stack.enter_context(Firmware(arguments, out))
             flight.fly(firmware)
             firmware.end(flight.serve)
     finally:
@@ -109,7 +121,8 @@ class Flight:
     ) -> None:
         self._plan, self._physics, self._server = plan, physics, server
         self._recorder, self._link = recorder, link
-        self._pilot = Pilot(plan, link, physics.begin)
+        self.pilot = Pilot(plan, link, physics.begin)
+        self.live: LiveFlight | None = None
         self._fate = Fate(physics.stand)
         self._guardian = Guardian(plan.section.guard)
         self._heard = 0  # reports of the observer
@@ -119,13 +132,15 @@ class Flight:
     @property
     def log_zero(self) -> float:
         """Scenario time 0 on the clock of the firmware [s]."""
-        return (self._pilot.began or 0.0) + self._pilot.journal.boot_offset
+        return (self.pilot.began or 0.0) + self.pilot.journal.boot_offset
 
     def fly(self, firmware: Firmware) -> None:
         """Fly to the end; a `SitlError` says why that cannot be done."""
         look = time.monotonic()
-        while not self._pilot.done:
+        while not self.pilot.done:
             self._answer(self._server.wait(firmware))
+            if self.live is not None:
+                self.live.pace()
             if time.monotonic() > look:
                 look = time.monotonic() + LOOK
                 self._sockets = sorted({*self._sockets, *open_sockets(firmware.pid)})
@@ -149,20 +164,24 @@ class Flight:
 
     def _watch(self, shown: Any) -> None:
         """Let the pilot act on a sample, and see whether the vehicle is lost."""
-        pilot, now = self._pilot, self._physics.now
+        pilot, now = self.pilot, self._physics.now
         pilot.step(now)
+        if self.live is not None:
+            self.live.show(shown)
         if pilot.began is None or pilot.done or pilot.landed:
             return
         self._guard()
         wanted = pilot.reference(now)
-        if now <= pilot.began + self._plan.scenario.duration:
+        if now <= pilot.end:
             self.errors.append(math.dist(shown.emission.flight.position, wanted.position))
         if self._fate.step(shown.emission.flight, wanted) and pilot.lost is None:
             pilot.lost = now
+            if self.live is not None:
+                self.live.tell_loss(self._fate.words)
 
     def _guard(self) -> None:
         """Let the guardian hear what the observer has said of a vehicle that flies."""
-        reports, pilot = self._physics.reports, self._pilot
+        reports, pilot = self._physics.reports, self.pilot
         for report in reports[self._heard :] if pilot.flies and pilot.journal.flies else ():
             before = len(self._guardian.decisions)
             decision = self._guardian.step(report, pilot.journal.mode_name)
@@ -174,10 +193,10 @@ class Flight:
 
     def result(self, arguments: list[str], wall_time: float) -> dict[str, Any]:
         """Return what is known without the firmware's log."""
-        plan, pilot, physics = self._plan, self._pilot, self._physics
+        plan, pilot, physics = self._plan, self.pilot, self._physics
         zero, journal = pilot.began or 0.0, pilot.journal
         scenario = plan.scenario
-        faults = describe_faults(plan)
+        faults = describe_faults(plan, physics.injector.noted(zero).values())
         events = [event._replace(time=round(event.time - zero, 3)) for event in journal.events]
         survived = pilot.lost is None and (pilot.landed or self._fate.stands)
         stands = "stands with its motors running" if self._fate.stands else "still flying when time was up"

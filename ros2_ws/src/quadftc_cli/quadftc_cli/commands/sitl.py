@@ -52,6 +52,12 @@ def sitl(
     jobs: Annotated[int, Option(min=1, help="Flights side by side.")] = 1,
     resume: Annotated[bool, Option("--resume", help="Keep the flights that were flown before.")] = False,
     force: Annotated[bool, Option("--force", help="Replace flights that were flown before.")] = False,
+    live: Annotated[
+        bool,
+        Option("--live", help="Fly in real time, with the page of 'quadftc live': inject faults by hand."),
+    ] = False,
+    port: Annotated[int, Option(min=0, max=65535, help="Of the page, on 127.0.0.1; 0: any.")] = 8348,
+    browser: Annotated[bool, Option(help="Open the page in the browser.")] = True,
     engine: options.EngineOption = "c",
     out: Annotated[Path, Option(help="Directory of the flights, each in its own.")] = Path("results"),
     junit: options.JunitOption = None,
@@ -61,6 +67,8 @@ def sitl(
     from quadftc_sitl import catalogue as flights
     from quadftc_sitl.plan import plan_of, plans_of_catalogue, read_parameters
 
+    if live and catalogue:
+        raise ValueError("--live: shows one flight; --catalogue does not go with it")
     if not binary.is_file():
         raise ValueError(f"{binary}: no such file; expected the firmware's simulation")
     overrides = [*set_, *([f"seed={seed}"] if seed else [])]
@@ -79,9 +87,15 @@ def sitl(
         for job in todo:
             flights.clear(job.out)
     screen = console()
-    with Bars(screen) as bars:
-        update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
-        found = flights.fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
+    if live:
+        from quadftc_cli.live_page.sitl import showing  # starts ROS
+
+        with showing(plans[0], port, browser) as shown:
+            found = flights.fly_jobs(todo, 1, resume, lambda _done: None, shown)
+    else:
+        with Bars(screen) as bars:
+            update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
+            found = flights.fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
     if catalogue and (lost := flights.write_lost(todo, found, out)):
         say(f"lost, one scenario each: {lost[0].parent}")
     raise typer.Exit(_show(found, out, screen, junit, catalogue))

@@ -43,8 +43,10 @@ def page_of_running(graph: LiveGraph) -> dict[str, Any]:
 
 def _page_of_autopilot(graph: LiveGraph, name: str) -> dict[str, Any]:
     """Return the fields of `page.Flown` where an autopilot flies: it takes no setpoints from us."""
-    (vehicle,) = _values(graph, f"{name.lower()}_backend", "vehicle")
-    observer = _values(graph, "fault_observer", "observer")[0] if graph.offers(OBSERVER) else "none"
+    backend = f"{name.lower()}_backend"
+    (vehicle,) = _values(graph, backend, "vehicle")
+    beside = "fault_observer" if graph.offers(OBSERVER) else backend  # which may have one of its own
+    (observer,) = _values(graph, beside, "observer", missing="none")
     return {
         "title": f"Attached to {graph.namespace or 'what flies'}",
         "parts": f"{Path(vehicle).stem}, observer {observer}, flown by {name}",
@@ -83,11 +85,12 @@ def _home(graph: LiveGraph, plant: str) -> tuple[float, ...]:
     return (place.x, place.y, place.z, float(yaw))
 
 
-def _values(graph: LiveGraph, node: str, *names: str) -> list[Any]:
-    """Return parameters of a node."""
+def _values(graph: LiveGraph, node: str, *names: str, missing: Any = None) -> list[Any]:
+    """Return parameters of a node; for one that it does not have ``missing``, or a GraphError."""
     request = GetParameters.Request(names=list(names))
     values = graph.call(f"{node}/get_parameters", GetParameters, request).values
-    found = [parameter_value_to_python(value) for value in values]
+    given = [parameter_value_to_python(value) for value in values]
+    found = [missing if value is None else value for value in given]
     if None in found:
         raise GraphError(f"{node} has no parameter {names[found.index(None)]}")
     return found

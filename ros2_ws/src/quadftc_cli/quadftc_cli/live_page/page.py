@@ -27,6 +27,8 @@ FRAME_PERIOD = 1.0 / 30.0  # s
 TEXT_PERIOD = 0.2  # s; between two looks at states and numbers
 SLOW = 0.95  # of real time; a flight below it says so
 STYLE = Path(__file__).with_name("page.css")
+AUTOPILOT = "ardupilot_backend", "autopilot"  # node and part of /diagnostics where an autopilot flies
+RATES = (("controller", "timing"), ("fault_observer", "timing"), AUTOPILOT)  # that may report a rate
 SENSOR_FAULTS = (  # label, axis that the charts show then, fault
     ("roll reads +8°", 0, "bias axis=roll value=8deg"),
     ("pitch wanders ±5°", 1, "sine axis=pitch amplitude=5deg frequency=0.5Hz"),
@@ -231,9 +233,10 @@ class _Page:
                 said.setdefault(words, []).append(name.partition(":")[0])
         self._set("warnings", "\n".join(f"{', '.join(names)}: {words}" for words, names in said.items()))
         self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
-        rates = (picture.value(node, "timing", "rate_hz") for node in ("controller", "fault_observer"))
+        rates = (picture.value(node, part, "rate_hz") for node, part in RATES)
         self._set("rate", f"{next(filter(None, rates), '-')} Hz")
-        self._set("mode", f"controller: {picture.mode()}")
+        mode = picture.value(*AUTOPILOT, "mode")
+        self._set("mode", f"autopilot: {mode}" if mode else f"controller: {picture.mode()}")
         self._show_angles()
         if self._flown.simulated:
             lost = picture.value("plant", "flight", "without_torque") or "0"

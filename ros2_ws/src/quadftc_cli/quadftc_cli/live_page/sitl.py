@@ -1,0 +1,40 @@
+# pyright: basic
+"""``quadftc sitl --live``: the page of a flight of an autopilot's firmware."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from quadftc_cli.live_page.feed import Feed
+from quadftc_cli.live_page.flying import serving
+from quadftc_cli.screen import say
+from quadftc_report.serve.local import listen, private_files
+from quadftc_ros.executor import StopSignals
+from quadftc_sitl.live import Live
+from quadftc_sitl.plan import SitlPlan
+
+
+@contextmanager
+def showing(plan: SitlPlan, port: int, opens: bool) -> Iterator[Live]:
+    """Serve the page of a flight, and open it in a browser if asked for; yields how the flight is shown."""
+    scenario = plan.scenario
+    parts = f"{Path(scenario.vehicle).stem}, observer {plan.scheme.observer.kind}, flown by ArduPilot"
+    flown = {
+        "title": scenario.description or scenario.name,
+        "parts": f"{parts}, {plan.rate:g} Hz",
+        "vehicle": scenario.vehicle,
+        "plant": "free_flight",
+        "namespace": "",
+        "home": None,
+    }
+    with (
+        private_files(),
+        StopSignals() as stop,
+        listen(port) as listener,
+        serving(listener, flown, opens) as (channel, address),
+    ):
+        feed = Feed(channel, "", "free_flight")
+        say(f"{flown['title']}: {flown['parts']}", f"page:   {address}", stderr=True)
+        yield Live(stop, lambda line: say(line, stderr=True), feed.tap, feed.beat)
