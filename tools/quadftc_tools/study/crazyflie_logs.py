@@ -9,17 +9,20 @@ Per axis, with the commanded torque per inertia u [rad/s²] and the rotors' lag 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.rotors import torque_from_commands
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_model.vehicle import load_vehicle
-from quadftc_replay.imu_from_usdlog import CrazyflieFlight, flight_from_usdlog
+from quadftc_replay.readers.crazyflie import ANGLES, FIRST, QUATERNIONS, Source
+from quadftc_replay.readers.signals import columns as stack
 from quadftc_replay.usdlog import read_usdlog
 
 Floats = NDArray[np.float64]
@@ -33,6 +36,17 @@ CRASH, BEFORE = 0.5, 0.3  # rad/s between two rows; s, how long before it counts
 THRUST, FULL_THRUST = "controller.cmd_thrust", 65535.0  # of logs without motor commands
 
 
+class CrazyflieFlight(NamedTuple):
+    """What a log tells of a flight, row by row of one event; None: not logged."""
+
+    time: Floats  # (n,) since the first row [s]
+    body_rate: Floats  # (n, 3) [rad/s]
+    q_xyzw: Floats | None  # (n, 4) body to earth, as the vehicle estimated it
+    torque: Floats | None  # (n, 3) commanded at this row [N m]
+    motors: Floats | None  # (n, 4) commanded at this row, 0 to 1
+    thrust: Floats | None  # (n,) commanded at this row, 0 to 1
+
+
 class Recorded(NamedTuple):
     """A recorded flight as samples."""
 
@@ -43,26 +57,53 @@ class Recorded(NamedTuple):
     flying: Mask  # (n,)
 
 
+def read_flight(path: Path) -> CrazyflieFlight:
+    """Read the event of a log that has the most rows with a body rate; BagError if there is none."""
+    events = read_usdlog(path).events.values()
+    fit = [event for event in events if _take(event.columns, FIRST["gyros"]) is not None]
+    if not fit:
+        raise BagError(f"{path}: no body rate")
+    stamp_ns, columns = max(fit, key=lambda event: len(event.stamp_ns))
+    good = np.diff(stamp_ns, prepend=stamp_ns[0] - 1) > 0
+    if (np.diff(stamp_ns) < 0).any():
+        raise BagError(f"{path}: time goes back")
+    columns = {name: values[good] for name, values in columns.items()}
+    rate, q_xyzw = _take(columns, FIRST["gyros"]), _take(columns, QUATERNIONS)
+    assert rate is not None  # the event was chosen so
+    if q_xyzw is None and (angles := _take(columns, ANGLES)) is not None:
+        q_xyzw = quaternion_from_euler(angles)
+    torque, motors = (_take(columns, FIRST[name]) for name in ("torque_command", "rotor_commands"))
+    time = (stamp_ns[good] - stamp_ns[0]) / NANOSECONDS_PER_SECOND
+    thrust = np.asarray(columns[THRUST]) / FULL_THRUST if THRUST in columns else None
+    return CrazyflieFlight(time, rate, q_xyzw, torque, motors, thrust)
+
+
+def _take(columns: Mapping[str, NDArray[Any]], sources: Sequence[Source]) -> Floats | None:
+    """Return the first of some sources that was logged, scaled to SI."""
+    found = next((source for source in sources if all(name in columns for name in source.names)), None)
+    return None if found is None else stack(columns, found.names) * found.scale
+
+
 def read_driven(path: Path, attitude: bool) -> Recorded:
     """Read a log with torques, or with motor commands for the mixer of the vehicle's file."""
-    flight, vehicle = flight_from_usdlog(path), load_vehicle(VEHICLE)
+    flight, vehicle = read_flight(path), load_vehicle(VEHICLE)
     torque = flight.torque
     if torque is None:
         if flight.motors is None:
             raise BagError(f"{path}: neither torque nor motor commands; expected one of them")
         torque = torque_from_commands(vehicle, flight.motors)
-    time = (flight.stamp_ns - flight.stamp_ns[0]) / NANOSECONDS_PER_SECOND
-    drive = lagged_torque(time, torque / vehicle.inertia, vehicle.rotors.time_constant)
+    drive = lagged_torque(flight.time, torque / vehicle.inertia, vehicle.rotors.time_constant)
     drive = np.vstack([np.zeros(3), drive])
     q_xyzw = flight.q_xyzw if attitude else None
-    return Recorded(time, flight.body_rate, q_xyzw, drive, in_flight(flight, time))
+    return Recorded(flight.time, flight.body_rate, q_xyzw, drive, in_flight(flight))
 
 
 def read_without_torque(path: Path) -> Recorded:
     """Read a log that has body rates and a thrust command; its flight is while the thrust is first on."""
-    flight = flight_from_usdlog(path)
-    thrust = np.asarray(read_usdlog(path).events[flight.event].columns[THRUST]) / FULL_THRUST
-    time = (flight.stamp_ns - flight.stamp_ns[0]) / NANOSECONDS_PER_SECOND
+    flight = read_flight(path)
+    time, thrust = flight.time, flight.thrust
+    if thrust is None:
+        raise BagError(f"{path}: no {THRUST}")
     on = thrust > TURNING
     first = int(np.argmax(on))
     landed = time[first + int(np.argmin(on[first:]))]
@@ -70,8 +111,9 @@ def read_without_torque(path: Path) -> Recorded:
     return Recorded(time, flight.body_rate, None, np.zeros_like(flight.body_rate), flying)
 
 
-def in_flight(flight: CrazyflieFlight, time: Floats) -> Mask:
+def in_flight(flight: CrazyflieFlight) -> Mask:
     """Return the rows in flight: those between take-off and crash, where motors tell; (n,)."""
+    time = flight.time
     flying = np.arange(len(time)) >= STALE
     if flight.motors is None:
         return flying

@@ -19,12 +19,10 @@ from quadftc_model.assembly import get, node_values
 from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_from_log import recording_from_log
-from quadftc_replay.imu_from_usdlog import recording_from_usdlog
 from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import faults_from, replay_events, replay_windows
 from quadftc_replay.readers import ONLY_ONE, LogChoice
 from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_metrics, replay_summary
-from quadftc_replay.usdlog import is_usdlog
 
 BAGS = (".mcap", ".db3", ".bag")
 DEFAULT_OBSERVER = "supervised"
@@ -37,7 +35,7 @@ PREFIX = "observer."  # of a parameter that is set
 class ReplayOptions:
     """What to replay, and how."""
 
-    topic: str = ""  # of the IMU (PX4: of the gyro; Crazyflie: the event); empty: see `recording_from_bag`
+    topic: str = ""  # of the IMU (of a log: its gyro); empty: see `recording_from_bag`
     choice: LogChoice = ONLY_ONE  # which log of a file, and how it is read
     observer: str = ""  # empty: as recorded, see `choose_observer`
     settings: tuple[str, ...] = ()  # ``observer.<parameter>=value``
@@ -165,8 +163,6 @@ def read_recording(
     """Read a recording of any kind; BagError says why it cannot be used. See `ReplayOptions`."""
     if not path.exists():
         raise BagError(f"{path}: no such bag")
-    if is_usdlog(path):
-        return recording_from_usdlog(path, topic, skip_backwards)
     if path.is_dir() or path.suffix in BAGS:
         return recording_from_bag(path, topic, skip_backwards)
     return recording_from_log(path, topic, choice)

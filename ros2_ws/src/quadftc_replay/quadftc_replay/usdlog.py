@@ -57,15 +57,6 @@ class _Event(NamedTuple):
     row: np.dtype  # fields f0, f1, ...: id, time, variables
 
 
-def is_usdlog(path: Path) -> bool:
-    """Whether a file begins like such a log; the vehicle names them ``log00``, without a suffix."""
-    try:
-        with path.open("rb") as stream:
-            return stream.read(1) == bytes([MAGIC])
-    except OSError:
-        return False
-
-
 def read_usdlog(path: Path, wanted: Container[str] | None = None) -> UsdLog:
     """Read a log, of each event the variables that are wanted, or all.
 
