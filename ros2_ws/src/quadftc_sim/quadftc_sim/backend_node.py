@@ -117,6 +117,7 @@ class BackendNode(GraphNode):
         self._values |= {"start": [*plant.start[:2], -plant.feet[0, 2]], "rotors": plant.command_size}
         make = partial(injector_from, self._values, self._engine)
         self._faults = InjectorPorts(self, make, plant.command_size, flies=True, under="fault_injector")
+        self._vehicle = plant.vehicle
         self._output = BackendOutput(self, simulator.law, self._faults)
         self.physics: Any = self.make_physics(self._simulator, self._faults.restart)
         self._socket = self._open_socket()
