@@ -205,7 +205,7 @@ def test_stamps_that_repeat_or_go_back_are_left_out(tmp_path):
     recording = recording_from_log(stamped(tmp_path, [4000, 8000, 8000, 6000, 12000]))
     assert len(recording) == 3
     assert (np.diff(recording.stamp_ns) > 0).all()
-    assert any("back" in warning for warning in recording.warnings), recording.warnings
+    assert ": 2 of 5 " in recording.warnings[0]
 
 
 @pytest.mark.parametrize(
