@@ -29,6 +29,7 @@ class Job(NamedTuple):
     name: str
     text: str  # of its scenario, with the key `autopilot`
     scheme: str
+    autopilot: str
     binary: Path
     parameters: Mapping[str, float]
     out: Path  # its folder
@@ -37,13 +38,14 @@ class Job(NamedTuple):
     @property
     def inputs(self) -> str:
         """All that decides the flight, but for the binary."""
-        return yaml.safe_dump([self.text, self.scheme, dict(self.parameters), self.engine])
+        return yaml.safe_dump([self.text, self.scheme, self.autopilot, dict(self.parameters), self.engine])
 
 
 def job_of(plan: SitlPlan, binary: Path, parameters: Mapping[str, float], out: Path, engine: str) -> Job:
     """Return the job of a plan; the flights of ``out`` have a folder each."""
     text = yaml.safe_dump(plan.raw, sort_keys=False, width=120)
-    return Job(plan.name, text, plan.scheme.name, binary, parameters, out / plan.name, engine)
+    names = plan.scheme.name, plan.autopilot.name
+    return Job(plan.name, text, *names, binary, parameters, out / plan.name, engine)
 
 
 def fly_jobs(
@@ -80,7 +82,7 @@ def fly_jobs(
 
 def fly_job(job: Job, live: Live | None = None) -> dict[str, Any]:
     """Fly one job in this process; return its summary."""
-    plan = plan_of_text(job.text, job.scheme, job.name)
+    plan = plan_of_text(job.text, job.scheme, job.name, job.autopilot)
     try:
         result = fly_sitl(plan, job.binary, job.out, job.parameters, engine=job.engine, live=live)
     except SitlError as error:
@@ -127,7 +129,7 @@ def write_lost(jobs: Sequence[Job], summaries: Sequence[Mapping[str, Any]], out:
         folder = out / "lost"
         folder.mkdir(exist_ok=True)
         file = folder / f"{job.name}.yaml"
-        options = f"--autopilot ardupilot --binary {job.binary} --scheme {job.scheme}"
+        options = f"--autopilot {job.autopilot} --binary {job.binary} --scheme {job.scheme}"
         if job.parameters:
             given = file.with_suffix(".parm")
             given.write_text(parameter_file(job.parameters), encoding="ascii")

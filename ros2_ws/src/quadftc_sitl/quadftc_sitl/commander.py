@@ -9,14 +9,13 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_sitl.guardian import Decision
-from quadftc_sitl.journal import MODES, Journal
+from quadftc_sitl.journal import Journal
 from quadftc_sitl.link import MavlinkLink
 
 RETRY = 1.0  # s; until something unanswered is sent again
 TRIES = 5
 EKF_LANE_SWITCH, HIGH = 103.0, 2.0  # auxiliary function of ArduPilot, and position of its switch
-MODE_NUMBERS = {name: number for number, name in MODES.items()}
-COMES_DOWN = (MODE_NUMBERS["LAND"], MODE_NUMBERS["RTL"])
+COMES_DOWN = ("LAND", "RTL")
 RESULTS = {number: entry.name for number, entry in dialect.enums["MAV_RESULT"].items()}
 
 Steps = Iterator[None]
@@ -44,15 +43,16 @@ class Commander:
         elif decision.action != "tell":
             name = decision.action.upper()
             answer = yield from self._ask_mode(name)
-            yield from self._until(lambda: self.journal.mode == MODE_NUMBERS[name], RETRY)
+            yield from self._until(lambda: self.journal.mode_name == name, RETRY)
             decision.answer = f"{RESULTS.get(answer, 'no answer')}, mode {self.journal.mode_name}"
 
     def _ask_mode(self, name: str) -> Iterator[Any]:
         """Ask for a mode; return the MAV_RESULT."""
-        number = self.journal.asked_mode = MODE_NUMBERS[name]
-        self.journal.may_disarm |= number in COMES_DOWN
+        self.journal.asked_mode = name
+        self.journal.may_disarm |= name in COMES_DOWN
         flags = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
-        return (yield from self._command(dialect.MAV_CMD_DO_SET_MODE, flags, float(number)))
+        mode = self.journal.mode_parameters(name)
+        return (yield from self._command(dialect.MAV_CMD_DO_SET_MODE, flags, *mode))
 
     def _command(self, number: int, *parameters: float) -> Iterator[Any]:
         """Send a command until it is answered; return its MAV_RESULT, None without an answer."""

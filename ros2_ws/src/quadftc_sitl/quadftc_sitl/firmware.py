@@ -24,7 +24,6 @@ OUTPUT, PARAMETERS = "output.txt", "parameters.parm"  # files in its folder
 TAIL = 12  # lines of its output that an error shows
 PATIENCE = 3.0  # s; from being asked to end until it is killed
 LISTENS = "0A"  # state of a TCP socket in /proc/net/tcp
-SERIAL_PORTS = (1, 2)  # of ArduPilot, besides the first; GPS come next, and those behind are off
 
 
 # becomes the firmware, which the kernel kills with us; no fork of a process that has threads of JAX
@@ -57,14 +56,17 @@ def die_with_parent() -> None:
 class Firmware:
     """A running firmware; a context manager that ends it."""
 
-    def __init__(self, arguments: Sequence[str], folder: Path) -> None:
-        """Start it; a `SitlError` says if it cannot be started."""
+    def __init__(
+        self, arguments: Sequence[str], folder: Path, environment: Mapping[str, str] | None = None
+    ) -> None:
+        """Start it, with variables besides ours; a `SitlError` says if it cannot be started."""
         self.arguments, self.folder = list(arguments), folder
         reading, writing = os.pipe()
         self._output: IO[bytes] = (folder / OUTPUT).open("wb")
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", START, str(os.getpid()), str(writing), *self.arguments],
             cwd=folder,
+            env={**os.environ, **(environment or {})},
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=subprocess.STDOUT,
@@ -123,26 +125,6 @@ class Firmware:
             os.killpg(self._process.pid, number)
 
 
-def ardupilot_arguments(
-    binary: Path, physics_port: int, mavlink_port: int, speedup: float = 1000.0
-) -> list[str]:
-    """Return how ArduPilot's simulation is started with our physics, its first serial port ours.
-
-    Its other serial ports would listen at every address; they are no MAVLink ports by the parameters, and
-    send to a port of ours that nobody reads if the firmware opens them nevertheless.
-    """
-    spare = f"udpclient:{LOOPBACK}:{free_port()}"
-    serials = [(f"--serial{number}", spare) for number in SERIAL_PORTS]
-    return [
-        *(str(binary), "--model", f"JSON:{LOOPBACK}", "--speedup", f"{speedup:g}"),
-        *("--sim-address", LOOPBACK, "--sim-port-out", str(physics_port), "--sim-port-in", str(free_port())),
-        *("--rc-in-port", str(free_port()), "--base-port", str(free_port(socket.SOCK_STREAM))),
-        *("--serial0", f"udpclient:{LOOPBACK}:{mavlink_port}"),
-        *(word for pair in serials for word in pair),
-        *("--defaults", PARAMETERS),
-    ]
-
-
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:
     """Return a port of this machine that nobody uses now."""
     with socket.socket(socket.AF_INET, kind) as probe:
@@ -151,7 +133,7 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
 
 
 def parameter_file(parameters: Mapping[str, float]) -> str:
-    """Write parameters as ArduPilot reads them."""
+    """Write parameters, a name and a number a line."""
     return "".join(f"{name} {value:.10g}\n" for name, value in parameters.items())
 
 

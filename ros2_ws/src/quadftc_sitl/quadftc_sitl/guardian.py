@@ -29,6 +29,9 @@ AUTONOMOUS = (
     "RTL",
     "SMART_RTL",
     "LAND",
+    "OFFBOARD",
+    "MISSION",
+    "TAKEOFF",
 )
 
 

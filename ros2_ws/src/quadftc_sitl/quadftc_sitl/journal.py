@@ -25,10 +25,6 @@ GOOD_ESTIMATE = (
 IN_THE_AIR = (dialect.MAV_LANDED_STATE_IN_AIR, dialect.MAV_LANDED_STATE_UNDEFINED)  # if it says nothing
 GLITCH = 1 << 15  # flag EKF_GPS_GLITCHING of EKF_STATUS_REPORT
 ESTIMATES = ("estimate incomplete", "estimate complete", "GPS glitch, estimate incomplete", "GPS glitch")
-MODES = {
-    number: entry.name.removeprefix("COPTER_MODE_")
-    for number, entry in dialect.enums.get("COPTER_MODE", {}).items()
-}
 
 
 class Event(NamedTuple):
@@ -41,7 +37,14 @@ class Event(NamedTuple):
 
 
 class Journal:
-    """Listens to an autopilot's messages; ``now`` is the time of the physics [s]."""
+    """Listens to ArduPilot's messages; ``now`` is the time of the physics [s]."""
+
+    AUTOPILOT, NAME = dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, "ArduPilot"
+    MODES = {
+        number: entry.name.removeprefix("COPTER_MODE_")
+        for number, entry in dialect.enums.get("COPTER_MODE", {}).items()
+    }
+    REFUSALS = ("PreArm:", "Arm:")  # begin the texts that say why it does not arm
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -50,7 +53,7 @@ class Journal:
         self.autopilot = 0  # MAV_AUTOPILOT
         self.source = (1, 1)  # its system and component
         self.mode = -1
-        self.asked_mode = -1  # that we have asked for last
+        self.asked_mode = ""  # that we have asked for last; empty: none yet
         self.armed = False
         self.landed_state = dialect.MAV_LANDED_STATE_UNDEFINED
         self.may_disarm = True  # we have asked it to come down
@@ -59,6 +62,7 @@ class Journal:
         self.version = ""
         self.boot_offset = 0.0  # its clock less ours [s]
         self.parameters: dict[str, float] = {}
+        self.integers: dict[str, bool] = {}  # parameters whose values go as the bits of an integer
         self.acknowledged: dict[int, int] = {}  # command -> MAV_RESULT
         self.wanted_item: int | None = None  # of the mission, that it asks for
         self.mission_result: int | None = None
@@ -75,7 +79,7 @@ class Journal:
     def refusals(self, since: float) -> list[str]:
         """Return why it does not arm, in its words, as said from a time [s] on."""
         words = [event.words for event in self.events if event.time >= since and event.kind == "text"]
-        return list(dict.fromkeys(text for text in words if text.startswith(("PreArm:", "Arm:"))))
+        return list(dict.fromkeys(text for text in words if text.startswith(self.REFUSALS)))
 
     @property
     def flies(self) -> bool:
@@ -85,7 +89,15 @@ class Journal:
     @property
     def mode_name(self) -> str:
         """Its mode in words."""
-        return MODES.get(self.mode, str(self.mode))
+        return self.MODES.get(self.mode, str(self.mode))
+
+    def mode_number(self, name: str) -> int:
+        """Return the number of a mode by its name."""
+        return next(number for number, each in self.MODES.items() if each == name)
+
+    def mode_parameters(self, name: str) -> tuple[float, ...]:
+        """Return the parameters of MAV_CMD_DO_SET_MODE behind its flags."""
+        return (float(self.mode_number(name)),)
 
     def lane_since(self, since: float) -> bool:
         """Return whether it has said since a time [s] that it uses another estimator."""
@@ -105,18 +117,18 @@ class Journal:
         self.armed = armed
         if message.custom_mode != self.mode:
             self.mode = message.custom_mode
-            is_ours = self.mode == self.asked_mode or self.asked_mode < 0
-            self._note("mode", f"mode {self.mode_name}", not is_ours)
+            is_ours = self.asked_mode in ("", self.mode_name)
+            self._note("mode", f"mode {self.mode_name}", armed and not is_ours)
 
     def _on_statustext(self, message: Any) -> None:
-        words = message.text.rstrip("\0")
+        words = message.text.rstrip("\0\t")
         if message.id:  # the text is longer than a message
             key = message.get_srcComponent(), message.id
             words = self._chunks.pop(key, "") + words
             if len(message.text) == 50 and "\0" not in message.text:
                 self._chunks[key] = words
                 return
-        serious = message.severity <= SERIOUS and not words.startswith(("PreArm:", "Arm:"))
+        serious = message.severity <= SERIOUS and not words.startswith(self.REFUSALS)
         self._note("lane" if LANE in words else "text", words, serious)
 
     def _on_sys_status(self, message: Any) -> None:
@@ -133,8 +145,10 @@ class Journal:
         self.landed_state = message.landed_state
 
     def _on_ekf_status_report(self, message: Any) -> None:
-        good = message.flags & GOOD_ESTIMATE == GOOD_ESTIMATE
-        state = good + 2 * bool(message.flags & GLITCH)
+        self._note_estimate(message.flags, bool(message.flags & GLITCH))
+
+    def _note_estimate(self, flags: int, glitch: bool) -> None:
+        state = (flags & GOOD_ESTIMATE == GOOD_ESTIMATE) + 2 * glitch
         if state != self._estimator:
             self._note("estimator", ESTIMATES[state], state != 1)
             self._estimator = state
@@ -147,8 +161,11 @@ class Journal:
         number = message.flight_sw_version
         names = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: "official"}
         parts = number >> 24, number >> 16 & 255, number >> 8 & 255
-        commit = bytes(message.flight_custom_version).rstrip(b"\0").decode("ascii", "replace")
+        commit = self._commit(bytes(message.flight_custom_version))
         self.version = f"{'.'.join(map(str, parts))}-{names.get(number & 255, number & 255)} {commit}".strip()
+
+    def _commit(self, custom: bytes) -> str:
+        return custom.rstrip(b"\0").decode("ascii", "replace")
 
     def _on_param_value(self, message: Any) -> None:
         self.parameters[message.param_id.rstrip("\0")] = message.param_value

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import struct
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -87,9 +88,12 @@ class MavlinkLink:
         """Ask for the value of a parameter."""
         self._mavlink.param_request_read_send(*self.target, name.encode(), -1)
 
-    def set_parameter(self, name: str, value: float) -> None:
-        """Set a parameter."""
-        self._mavlink.param_set_send(*self.target, name.encode(), value, dialect.MAV_PARAM_TYPE_REAL32)
+    def set_parameter(self, name: str, value: float, integer: bool = False) -> None:
+        """Set a parameter; that of an integer can go as its bits."""
+        kind = dialect.MAV_PARAM_TYPE_INT32 if integer else dialect.MAV_PARAM_TYPE_REAL32
+        if integer:
+            value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
+        self._mavlink.param_set_send(*self.target, name.encode(), value, kind)
 
     def fly_to(self, time: float, position: Any, velocity: Any, acceleration: Any, yaw: float) -> None:
         """Send a setpoint: north, east, down from the origin of the estimator [m], and its derivatives."""

@@ -28,7 +28,6 @@ from quadftc_model.samples import (
     RotorReading,
     level_sample,
 )
-from quadftc_sim.ardupilot import ArduPilotPhysics
 from quadftc_sim.assembly import EPOCH_NS, simulator_from
 from quadftc_sim.autopilot import Shown
 from quadftc_sim.simulator import Simulator
@@ -55,10 +54,10 @@ class Physics:
         values = node_parameters(scenario, plan.scheme)["plant"]
         plant: Any = scenario.plant
         self.stand = -float(plant.feet[0, 2])  # m; its height on the ground
-        values |= {"position_sensor": False, "mag.rate": 0.0, "baro.rate": 0.0, "start": [*start, self.stand]}
+        values |= {**plan.autopilot.sensors, "start": [*start, self.stand]}
         self._values: dict[str, Any] = values
         self.injector = NotedInjector(scenario.seed, (), plant.command_size, self._engine)
-        self._physics = ArduPilotPhysics(self._simulator, lambda: self.injector, plan.rate)
+        self._physics = plan.autopilot.physics(self._simulator, lambda: self.injector, plan.rate)
         self._diagnosis = Diagnosis(plan.scheme.observer.law, self._engine, flies=True)
         self._vehicle = plant.vehicle
         self.law = self._simulator(plan.rate).law  # of its motion

@@ -8,21 +8,20 @@ autopilot at the same sample in every flight.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_control.trajectory import combined
 from quadftc_sim.autopilot import to_ned
-from quadftc_sitl.commander import COMES_DOWN, MODE_NUMBERS, RETRY, TRIES, Commander, Steps
+from quadftc_sitl.commander import COMES_DOWN, RETRY, TRIES, Commander, Steps
 from quadftc_sitl.firmware import SitlError
 from quadftc_sitl.guardian import Decision
 from quadftc_sitl.journal import Journal
 from quadftc_sitl.link import MULTIROTORS, MavlinkLink
 from quadftc_sitl.plan import OwnFault, SitlPlan
 
-HOME = (-35.363262, 149.165237, 584.0)  # latitude, longitude [deg], height [m]; ArduPilot's usual field
 DEGREE = 111318.84502145034  # m of latitude, as ArduPilot's Location has it
 TICK = 0.02  # s; between two steps
 SETPOINTS = 0.1  # s; between two setpoints
@@ -38,7 +37,6 @@ AFTERWARDS = 2.0  # s; flown on after the end, so that the log has it
 WAYPOINT_PERIOD, WAYPOINT_DISTANCE = 4.0, 1.0  # s, m; between waypoints of a mission
 MESSAGES = {  # that it shall send -> Hz
     dialect.MAVLINK_MSG_ID_SYS_STATUS: 4,
-    dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 10,
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10,
     dialect.MAVLINK_MSG_ID_HEARTBEAT: 10,
     dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 10,
@@ -46,11 +44,17 @@ MESSAGES = {  # that it shall send -> Hz
 
 
 class Pilot(Commander):
-    """An operator of one flight; call `step` at every sample until ``done``."""
+    """An operator of one flight of ArduCopter; call `step` at every sample until ``done``."""
+
+    HOME = (-35.363262, 149.165237, 584.0)  # latitude, longitude [deg], height [m]; ArduPilot's usual field
+    JOURNAL: type[Journal] = Journal
+    FOLLOWS, MISSION = "GUIDED", "AUTO"  # modes in which it takes setpoints, and flies a mission
+    FIRST_ITEM: tuple[tuple[float, float, float], ...] = ((*HOME[:2], 0.0),)  # of a mission: home
+    MESSAGES: Mapping[int, float] = {**MESSAGES, dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 10}
 
     def __init__(self, plan: SitlPlan, link: MavlinkLink, begin: Callable[[], None]) -> None:
         """Take what to fly; ``begin`` is called at scenario time 0."""
-        super().__init__(link, Journal())
+        super().__init__(link, self.JOURNAL())
         self.done, self.landed = False, False
         self.began: float | None = None  # time at scenario time 0 [s]
         self.lost: float | None = None  # since when the vehicle is lost [s]; set from outside
@@ -60,7 +64,8 @@ class Pilot(Commander):
         self._first = combined(self._trajectories, 0.0)
         self._steps, self._next, self._beat = self._fly(), 0.0, 0.0
         self._were: dict[str, float] = {}  # values of parameters before faults
-        self._errands: list[Steps] = []  # of a guardian
+        self._failing: set[str] = set()  # own faults that were commanded
+        self._errands: list[Steps] = []  # beside the mission
 
     def step(self, now: float) -> None:
         """Hear what has come at a time [s], and go on."""
@@ -73,7 +78,7 @@ class Pilot(Commander):
         if now >= self._beat:
             self._beat = now + 1.0
             self._link.heartbeat()
-            if self.journal.asked_mode == MODE_NUMBERS["ALT_HOLD"]:
+            if self.journal.asked_mode == "ALT_HOLD":
                 self._link.centre_sticks()
         self._errands = [errand for errand in self._errands if next(errand, "end") is None]
         self.done = next(self._steps, "end") is not None
@@ -100,7 +105,7 @@ class Pilot(Commander):
         yield from self._climb()
         if self._plan.section.mode == "auto":
             yield from self._upload_mission()
-            yield from self._set_mode("AUTO")
+            yield from self._set_mode(self.MISSION)
         self.began = self.journal.now
         self.end = min(self.end, self.began + self._plan.scenario.duration)
         self._begin()
@@ -113,13 +118,13 @@ class Pilot(Commander):
         yield from self._wait(
             lambda: journal.kind is not None, TO_SPEAK, lambda: "no heartbeat on its first serial port"
         )
-        if journal.autopilot != dialect.MAV_AUTOPILOT_ARDUPILOTMEGA:
-            raise SitlError(f"MAV_AUTOPILOT {journal.autopilot} answers, expected ArduPilot")
+        if journal.autopilot != journal.AUTOPILOT:
+            raise SitlError(f"MAV_AUTOPILOT {journal.autopilot} answers, expected {journal.NAME}")
         rotors = self._plan.scenario.rotors
         if MULTIROTORS.get(journal.kind or 0) != rotors:
             raise SitlError(f"another vehicle answers: MAV_TYPE {journal.kind}, expected {rotors} rotors")
         self._link.target = journal.source
-        yield from self.ask_messages(MESSAGES)
+        yield from self.ask_messages(self.MESSAGES)
         version = float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         yield from self._command(dialect.MAV_CMD_REQUEST_MESSAGE, version)
 
@@ -138,8 +143,11 @@ class Pilot(Commander):
 
     def _get_ready(self) -> Steps:
         """Wait until it says that it can be armed."""
+        yield from self._be_armable()
+        yield from self._set_mode(self.FOLLOWS)
+
+    def _be_armable(self) -> Steps:
         yield from self._until(lambda: self.journal.can_arm, TO_BE_READY)
-        yield from self._set_mode("GUIDED")
 
     def _arm(self) -> Steps:
         """Arm, as soon as it lets itself be; a refusal to the end is an error, in its words."""
@@ -157,24 +165,31 @@ class Pilot(Commander):
 
     def _climb(self) -> Steps:
         """Climb to where the trajectories begin, and settle there."""
-        height = float(self._first.position[2])
+        yield from self._take_off(float(self._first.position[2]))
+        for _ in range(round(SETTLING / SETPOINTS)):
+            self._send_setpoint()
+            yield from self._pause(SETPOINTS)
+
+    def _take_off(self, height: float) -> Steps:
+        """Climb to a height [m] by a command."""
         answer = yield from self._command(
             dialect.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, max(height, 1.0)
         )
         if answer != dialect.MAV_RESULT_ACCEPTED:
             raise SitlError(f"take-off refused: MAV_RESULT {answer}")
+        yield from self._reach(height, TO_CLIMB)
+
+    def _reach(self, height: float, patience: float) -> Steps:
+        """Wait until it is at a height [m]."""
         yield from self._wait(
             lambda: -self.journal.position[2] > 0.9 * height,
-            TO_CLIMB,
+            patience,
             lambda: f"did not climb to {height:g} m; it is at {-self.journal.position[2]:.2f} m",
         )
-        for _ in range(round(SETTLING / SETPOINTS)):
-            self._send_setpoint()
-            yield from self._pause(SETPOINTS)
 
     def _upload_mission(self) -> Steps:
-        """Send waypoints along the trajectories; item 0 is home."""
-        items = [(*HOME[:2], 0.0), *self._waypoints()]
+        """Send waypoints along the trajectories."""
+        items = [*self.FIRST_ITEM, *self._waypoints()]
         self.journal.mission_result = None
         self._link.mission_count(len(items))
         last = self.journal.now
@@ -196,14 +211,15 @@ class Pilot(Commander):
             place = combined(self._trajectories, number * WAYPOINT_PERIOD).position
             if math.dist(place, places[-1]) > WAYPOINT_DISTANCE:
                 places.append(place)
-        east = DEGREE * math.cos(math.radians(HOME[0]))
-        return [(HOME[0] + y / DEGREE, HOME[1] + x / east, float(z)) for x, y, z in places]
+        latitude, longitude, _ = self.HOME
+        east = DEGREE * math.cos(math.radians(latitude))
+        return [(latitude + y / DEGREE, longitude + x / east, float(z)) for x, y, z in places]
 
     def _follow(self) -> Steps:
         """Follow the trajectories to the end of the mission, and put its own faults on and off."""
         begin = self.journal.now
         while self.journal.now < self.end and self.flies:
-            if self.journal.asked_mode == MODE_NUMBERS["GUIDED"]:
+            if self.journal.asked_mode == self.FOLLOWS:
                 self._send_setpoint()
             for fault in self._plan.section.faults:
                 self._set_fault(fault, self.journal.now - begin)
@@ -237,7 +253,14 @@ class Pilot(Commander):
             wanted = self._were[name] + share * (value - self._were[name])
             if wanted != self.journal.parameters.get(name):
                 self.journal.parameters[name] = wanted
-                self._link.set_parameter(name, wanted)
+                self._link.set_parameter(name, wanted, self.journal.integers.get(name, False))
+        if fault.inject and bool(share) != (fault.inject in self._failing):
+            self._failing ^= {fault.inject}
+            self._errands.append(self._fail(fault, bool(share)))
+
+    def _fail(self, fault: OwnFault, fails: bool) -> Steps:
+        """Have a sensor of its fail by a command, or be well again."""
+        raise NotImplementedError
 
     def _set_mode(self, name: str) -> Steps:
         """Change the mode; a refusal before scenario time 0 is an error."""

@@ -36,12 +36,10 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from quadftc_flight.scenario import Check, Document, Problem, Scenario, Scheme, build_scenario, problems_of
 from quadftc_flight.scenario.document import ScenarioError, parse_document
 from quadftc_model.units import quantity
+from quadftc_sitl.autopilot import NAMES, Autopilot, autopilot_named
 from quadftc_sitl.drawing import draw
 
 KEY = "autopilot"
-LOOP_RATE = "SCHED_LOOP_RATE"  # ArduCopter's own loop [Hz], and its default
-USUAL_LOOP_RATE = 400.0
-GYRO_RATE = 2.0  # of the gyro to the loop; ArduCopter does not arm below 1.8
 USUAL_SCHEME = {
     "observer": "isolating",
     "disturbance_observer": "none",
@@ -60,6 +58,7 @@ COMPONENTS = {
 ACTIONS = ("tell", "lane", "alt_hold", "land", "rtl")
 FINDING = "^(attitude( (roll|pitch|yaw))?|(gyro|accelerometer)( [xyz])?|rotor( [1-9][0-9]?)?)$"
 PARAMETER = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+FAILURE = re.compile(r"(gyro|accelerometer|magnetometer|barometer|gps)(?: ([1-9]))? (off|stuck)")
 
 
 def _one_of(*names: str) -> AfterValidator:
@@ -83,18 +82,32 @@ class _Shape(BaseModel):
 class OwnFault(_Shape):
     """A fault of the autopilot's own simulation: parameters, set at a time and put back at another."""
 
-    set: dict[ParameterName, ParameterValue] = Field(min_length=1)
+    set: dict[ParameterName, ParameterValue] = {}
+    inject: Annotated[str, Field(pattern=f"^({FAILURE.pattern})?$")] = ""  # or one that PX4 has a command for
     start: Seconds = 0.0  # [s]
     stop: Seconds | None = None  # [s]; None: to the end
     rise: Seconds = 0.0  # over which the values grow to what is set [s]; 0: a step
     component: str = ""  # that fails, with its element, such as 'gps x'; empty: by the parameters
     kind: str = ""  # what it looks like
 
+    @pydantic.model_validator(mode="after")
+    def _has_one(self) -> OwnFault:
+        if bool(self.set) == bool(self.inject):
+            raise ValueError("expected 'set', parameters, or 'inject', such as 'gyro 1 stuck'")
+        return self
+
+    @property
+    def failure(self) -> tuple[str, int, str]:
+        """What is injected: unit, its number from 1, 0: all, and what becomes of it."""
+        found = FAILURE.fullmatch(self.inject)
+        assert found is not None
+        return found[1], int(found[2] or 0), found[3]
+
     @property
     def failing(self) -> str:
         """The component that fails, with its element; empty: not known."""
         names = (word for name in self.set for start, word in COMPONENTS.items() if name.startswith(start))
-        return self.component or next(names, "")
+        return self.component or next(names, self.inject.partition(" ")[0])
 
     @property
     def end(self) -> float:
@@ -145,6 +158,7 @@ class SitlPlan:
     scenario: Scenario
     scheme: Scheme  # whose observer runs beside it
     section: Section
+    autopilot: Autopilot
 
     @property
     def name(self) -> str:
@@ -160,10 +174,10 @@ class SitlPlan:
     @property
     def rate(self) -> float:
         """Of the physics and of our IMU [Hz]."""
-        return max(self.scenario.rate, GYRO_RATE * self.section.parameters.get(LOOP_RATE, USUAL_LOOP_RATE))
+        return self.autopilot.rate(self)
 
 
-def plan_of(document: Document, scheme: str = "") -> SitlPlan:
+def plan_of(document: Document, scheme: str = "", autopilot: str = NAMES[0]) -> SitlPlan:
     """Build what is to be flown of a scenario file; a ScenarioError has one line for each problem."""
     plain = {key: value for key, value in document.data.items() if key != KEY}
     plain.setdefault("schemes", {"beside": USUAL_SCHEME})
@@ -172,15 +186,21 @@ def plan_of(document: Document, scheme: str = "") -> SitlPlan:
         wanted = "an autopilot flies free: expected 'plant: {kind: free_flight}'"
         raise document.error([Problem(("plant",), wanted)])
     section = _section_of(document)
-    return SitlPlan(scenario=scenario, scheme=scenario.scheme(scheme or None), section=section)
+    flown = autopilot_named(autopilot)
+    if not flown.takes_failures and any(fault.inject for fault in section.faults):
+        raise document.error([Problem((KEY, "faults"), f"inject: {flown.title} has no such command")])
+    chosen = scenario.scheme(scheme or None)
+    return SitlPlan(scenario=scenario, scheme=chosen, section=section, autopilot=flown)
 
 
-def plan_of_text(text: str, scheme: str, name: str) -> SitlPlan:
+def plan_of_text(text: str, scheme: str, name: str, autopilot: str = NAMES[0]) -> SitlPlan:
     """Build what is to be flown of the text of a scenario."""
-    return plan_of(parse_document(text, f"{name}.yaml"), scheme)
+    return plan_of(parse_document(text, f"{name}.yaml"), scheme, autopilot)
 
 
-def plans_of_catalogue(document: Document, scheme: str, flights: int | None = None) -> list[SitlPlan]:
+def plans_of_catalogue(
+    document: Document, scheme: str, flights: int | None = None, autopilot: str = NAMES[0]
+) -> list[SitlPlan]:
     """Build the flights of the catalogue of a scenario, so many of each entry; None: as many as it says.
 
     Their seeds begin with that of the scenario. What is drawn depends on name and seed of a flight alone.
@@ -203,7 +223,7 @@ def plans_of_catalogue(document: Document, scheme: str, flights: int | None = No
             name = f"{entry.name}-{seed}"
             changes: dict[tuple[str | int, ...], Any] = {("name",): name, ("faults",): ours, ("seed",): seed}
             changes |= {(KEY, "faults"): own, (KEY, "catalogue"): []}
-            plans.append(plan_of(document.replaced(changes, f"catalogue, '{entry.name}'"), scheme))
+            plans.append(plan_of(document.replaced(changes, f"catalogue, '{entry.name}'"), scheme, autopilot))
     return plans
 
 
@@ -222,7 +242,7 @@ def _model_at(path: Sequence[str | int]) -> type[BaseModel]:
 
 
 def read_parameters(path: Path) -> dict[str, float]:
-    """Read a parameter file of ArduPilot: a name and a number a line, # begins a comment."""
+    """Read a parameter file, NAME VALUE a line or as QGroundControl saves them; # begins a comment."""
     from quadftc_model.small_files import read_small
 
     found: dict[str, float] = {}
@@ -230,6 +250,8 @@ def read_parameters(path: Path) -> dict[str, float]:
         words = re.split(r"[\s,=]+", line.partition("#")[0].strip())
         if words == [""]:
             continue
+        if len(words) > 3 and words[0].isdecimal():  # system and component come first
+            words = words[2:]
         where = f"{path}:{number}"
         if len(words) < 2 or not PARAMETER.fullmatch(words[0]):
             raise ScenarioError(f"{where}: {line.strip()!r}: expected NAME VALUE")

@@ -43,11 +43,11 @@ def describe_faults(plan: SitlPlan, ours: Iterable[Fault] | None = None) -> list
     for own in plan.section.faults:
         component, _, element = own.failing.partition(" ")
         elements = [element] if element else _elements_of(component, own.set)
-        spec = " ".join(f"{name}={value:g}" for name, value in own.set.items())
+        spec = own.inject or " ".join(f"{name}={value:g}" for name, value in own.set.items())
         faults.append(
             {"source": "autopilot", "component": component, "elements": elements, "spec": spec}
-            | {"size": max(own.set.values(), key=abs)}
-            | {"kind": own.kind, "start": own.start, "stop": own.end}
+            | {"size": max(own.set.values(), key=abs, default=None)}
+            | {"kind": own.kind or own.inject.rpartition(" ")[2], "start": own.start, "stop": own.end}
         )
     return faults
 

@@ -24,17 +24,16 @@ from quadftc_flight.checks import check_results
 from quadftc_flight.junit import write_file
 from quadftc_model.versions import software_version
 from quadftc_sim.injection import CHANNEL_UNITS
+from quadftc_sitl.autopilot import Server
 from quadftc_sitl.firmware import (
     PARAMETERS,
     Firmware,
-    ardupilot_arguments,
     open_sockets,
     parameter_file,
 )
 from quadftc_sitl.guardian import Guardian
 from quadftc_sitl.link import MavlinkLink
-from quadftc_sitl.physics import Fate, Physics, PhysicsSocket
-from quadftc_sitl.pilot import HOME, Pilot
+from quadftc_sitl.physics import Fate, Physics
 from quadftc_sitl.plan import SitlPlan
 from quadftc_sitl.recording import Recorder
 from quadftc_sitl.scoring import describe_faults, metrics_of, noticed, observed
@@ -45,21 +44,6 @@ if TYPE_CHECKING:
 
 SUMMARY, BAG, SCENARIO = "sitl.json", "bag", "scenario.yaml"
 LOOK = 2.0  # s of the wall clock; how often the sockets of the firmware are read
-# what a quadrotor of our physics needs; those of a scenario and of files come on top
-COMPASS = {"X": 5.0, "Y": 13.0, "Z": -18.0}  # offsets that ArduPilot's simulated compass has
-STICKS = {"MIN": 1000.0, "MAX": 2000.0, "TRIM": 1500.0}  # us
-MINE = {
-    **dict.fromkeys(("FRAME_CLASS", "FRAME_TYPE", "MOT_THST_EXPO"), 1.0),
-    "BATT_MONITOR": 4.0,
-    "MOT_BAT_VOLT_MAX": 0.0,
-    "MOT_SPIN_ARM": 0.15,
-    "MOT_SPIN_MIN": 0.16,
-    **{f"SERIAL{number}_PROTOCOL": -1.0 for number in (1, 2, 5, 6, 7)},
-    **{f"COMPASS_OFS{unit}_{axis}": value for unit in ("", "2", "3") for axis, value in COMPASS.items()},
-    **{f"INS_ACC{unit}OFFS_{axis}": 0.001 for unit in ("", "2") for axis in "XYZ"},
-    **{f"INS_ACC{unit}SCAL_{axis}": 1.001 for unit in ("", "2") for axis in "XYZ"},
-    **{f"RC{number}_{name}": value for number in range(1, 9) for name, value in STICKS.items()},
-}
 
 
 def fly_sitl(
@@ -71,25 +55,25 @@ def fly_sitl(
     engine: str = "c",
     live: Live | None = None,
 ) -> dict[str, Any]:
-    """Fly a plan with ArduPilot's simulation in a new folder; return the summary that is written there.
+    """Fly a plan with a firmware in a new folder; return the summary that is written there.
 
     ``parameters`` come on top of those of the plan. With ``live`` others may watch, and inject faults. A
     `SitlError` says why nothing was flown; OSError, why nothing could be written.
     """
     begin = time.perf_counter()
     out.mkdir(parents=True)
-    given = {**MINE, "SIM_RATE_HZ": plan.rate, **plan.section.parameters, **(parameters or {})}
+    autopilot = plan.autopilot
+    given = {**autopilot.parameters(plan), **plan.section.parameters, **(parameters or {})}
     (out / PARAMETERS).write_text(parameter_file(given), encoding="ascii")
     text = yaml.safe_dump(plan.raw, sort_keys=False, width=120)
     (out / SCENARIO).write_text(text, encoding="utf-8")
     place = combined(tuple(part.law for part in plan.scenario.trajectories), 0.0).position
     start = float(place[0]), float(place[1])
-    physics, link, server = Physics(plan, start, engine), MavlinkLink(), PhysicsSocket(physics_port)
+    physics, link, server = Physics(plan, start, engine), MavlinkLink(), autopilot.server(physics_port)
     scheduled = {fault.injection.channel for fault in plan.scenario.faults}
     channels = scheduled if live is None else CHANNEL_UNITS
     recorder = Recorder(out / BAG, {SCENARIO: text.encode()}, channels)
-    arguments = ardupilot_arguments(binary, server.port, link.port)
-    arguments += ["--home", ",".join(f"{value:.9g}" for value in (*HOME, 90.0))]
+    beginning = autopilot.start(binary, out, server.port, link.port)
     flight = Flight(plan, physics, server, link, recorder)
     try:
         with contextlib.ExitStack() as stack:
@@ -97,15 +81,16 @@ def fly_sitl(
                 from quadftc_sitl.live import LiveFlight  # starts ROS
 
                 flight.live = stack.enter_context(LiveFlight(live, plan, physics, flight.pilot))
-            firmware = stack.enter_context(Firmware(arguments, out))
+            firmware = stack.enter_context(Firmware(beginning.arguments, out, beginning.environment))
             flight.fly(firmware)
             firmware.end(flight.serve)
     finally:
+        autopilot.tidy(beginning)
         recorder.close()
         link.close()
         server.close()
     wall_time = time.perf_counter() - begin
-    result = flight.result(arguments, wall_time)
+    result = flight.result(beginning.arguments, wall_time)
     result |= diagnose_log_of(out, plan, flight.log_zero, result["faults"])
     result["metrics"] = metrics_of(result, flight.errors)
     result["checks"] = [each._asdict() for each in check_results(result["metrics"], plan.section.checks)]
@@ -117,11 +102,11 @@ class Flight:
     """What happens between the packets of a firmware."""
 
     def __init__(
-        self, plan: SitlPlan, physics: Physics, server: PhysicsSocket, link: MavlinkLink, recorder: Recorder
+        self, plan: SitlPlan, physics: Physics, server: Server, link: MavlinkLink, recorder: Recorder
     ) -> None:
         self._plan, self._physics, self._server = plan, physics, server
         self._recorder, self._link = recorder, link
-        self.pilot = Pilot(plan, link, physics.begin)
+        self.pilot = plan.autopilot.pilot(plan, link, physics.begin)
         self.live: LiveFlight | None = None
         self._fate = Fate(physics.stand)
         self._guardian = Guardian(plan.section.guard)
@@ -213,7 +198,8 @@ class Flight:
             "seed": scenario.seed,
             "vehicle": scenario.vehicle,
             "autopilot": {
-                "kind": "ardupilot",
+                "kind": plan.autopilot.name,
+                "name": plan.autopilot.title,
                 "version": journal.version,
                 "command": arguments,
                 "open_sockets": self._sockets,

@@ -14,12 +14,6 @@ from quadftc_sitl.scoring import EARLY, is_it
 NOTHING: dict[str, Any] = {"named": False, "delay_s": None, "as": []}
 
 
-def log_of(folder: Path) -> Path | None:
-    """Return the last log that ArduPilot has written in a folder; None: there is none."""
-    logs = sorted((folder / "logs").glob("*.BIN"))
-    return logs[-1] if logs else None
-
-
 def diagnose_log_of(
     folder: Path, plan: SitlPlan, log_zero: float, faults: list[dict[str, Any]]
 ) -> dict[str, Any]:
@@ -27,7 +21,7 @@ def diagnose_log_of(
 
     ``log_zero`` is scenario time 0 on the clock of the log [s].
     """
-    log = log_of(folder)
+    log = plan.autopilot.log(folder)
     said: dict[str, Any] = {"log": "", "outcome": "", "findings": [], "problem": ""}
     for fault in faults:
         fault["diagnose"] = dict(NOTHING)

@@ -169,7 +169,11 @@ def test_only_sockets_that_others_can_reach_are_named():
     [
         ("kind: free_flight", "kind: test_stand", "expected 'plant: {kind: free_flight}'"),
         ("mode: guided", "mode: acro", "autopilot.mode: 'acro': expected one of guided, auto"),
-        ("set: {SIM_GYR1_BIAS_X: 0.3}", "set: {}", "autopilot.faults[0].set"),
+        (
+            "set: {SIM_GYR1_BIAS_X: 0.3}",
+            "set: {}",
+            "autopilot.faults[0]: expected 'set', parameters, or 'inject'",
+        ),
         (
             "set: {SIM_GYR1_BIAS_X: 0.3}",
             "sets: {A: 1}",

@@ -24,8 +24,8 @@ def sitl(
             help="Scenario of free flight: a file, or a name.", autocompletion=options.complete_scenario
         ),
     ],
-    autopilot: Annotated[Literal["ardupilot"], Option(help="Whose firmware it is.")],
-    binary: Annotated[Path, Option(metavar="FILE", help="Its simulation (SITL), such as arducopter.")],
+    autopilot: Annotated[Literal["ardupilot", "px4"], Option(help="Whose firmware it is.")],
+    binary: Annotated[Path, Option(metavar="FILE", help="Its simulation (SITL), such as arducopter or px4.")],
     parameters: Annotated[
         list[Path],
         Option(metavar="FILE", help="Parameters of the firmware, NAME VALUE a line; may be repeated."),
@@ -54,7 +54,10 @@ def sitl(
     force: Annotated[bool, Option("--force", help="Replace flights that were flown before.")] = False,
     live: Annotated[
         bool,
-        Option("--live", help="Fly in real time, with the page of 'quadftc live': inject faults by hand."),
+        Option(
+            "--live",
+            help="Fly in real time, with the page of 'quadftc live': inject faults by hand.",
+        ),
     ] = False,
     port: Annotated[int, Option(min=0, max=65535, help="Of the page, on 127.0.0.1; 0: any.")] = 8348,
     browser: Annotated[bool, Option(help="Open the page in the browser.")] = True,
@@ -76,12 +79,12 @@ def sitl(
     document = changed_document(find_scenario(scenario), overrides)
     given = {name: value for file in parameters for name, value in read_parameters(file).items()}
     if catalogue:
-        every = plans_of_catalogue(document, scheme, seeds)
+        every = plans_of_catalogue(document, scheme, seeds, autopilot)
         plans = [plan for plan in every if fnmatch.fnmatch(plan.name.rpartition("-")[0], only)]
         if not plans:
             raise ValueError(f"--only {only}: no such flight in the catalogue")
     else:
-        plans = [plan_of(document, scheme)]
+        plans = [plan_of(document, scheme, autopilot)]
     todo = [flights.job_of(plan, binary.resolve(), given, out.resolve(), engine) for plan in plans]
     if force and not resume:
         for job in todo:
@@ -150,7 +153,9 @@ def _show_flight(flight: Mapping[str, Any]) -> None:
     said = [event for event in flight["autopilot_said"] if event["serious"] and event["time"] >= 0.0]
     say(*(f"  {event['time']:8.2f} s  {event['words']}" for event in said[:SAID]))
     say(f"diagnose: {flight['diagnose'].get('sentence') or flight['diagnose']['problem']}")
-    say(f"autopilot: ArduPilot {autopilot['version']}, {flight['real_time_factor']:.1f} x real time")
+    say(
+        f"autopilot: {autopilot['name']} {autopilot['version']}, {flight['real_time_factor']:.1f} x real time"
+    )
     if autopilot["open_sockets"]:
         say(f"open to others than this machine: {', '.join(autopilot['open_sockets'])}")
 

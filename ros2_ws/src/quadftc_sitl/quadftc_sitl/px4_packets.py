@@ -1,0 +1,208 @@
+# pyright: basic
+"""PX4's simulator API: a plant as the physics of its simulation (SITL), in lock-step.
+
+PX4 connects by TCP. HIL_SENSOR sets its clock, and has one sample of IMU, magnetometer and barometer. It
+answers with HIL_ACTUATOR_CONTROLS once its modules have run. Layout and lock-step: PX4 1.16,
+src/modules/simulation/simulator_mavlink/SimulatorMavlink.cpp.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import select
+import socket
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from quadftc_model.samples import ImuSample
+from quadftc_sim.autopilot import AutopilotPhysics, speeds_of_shares, to_frd, to_ned
+from quadftc_sim.barometer import pressure_height, standard_pressure
+from quadftc_sim.injector import FaultInjector
+from quadftc_sim.simulator import Emission, Simulator
+from quadftc_sitl.firmware import LOOPBACK, Firmware, SitlError
+
+HOME = (47.397742, 8.545594, 488.0)  # latitude, longitude [deg], height [m]; PX4's usual field, in Zurich
+DEGREE = 111318.84502145034  # m of latitude
+BOOT = 1.0  # s on its clock at our first sample; 0 means "unset"
+IMU_FIELDS = 0b111111  # of HIL_SENSOR's fields_updated: accelerometer and gyro
+FIELD_FIELDS, PRESSURE_FIELDS = 0b111000000, 0b1101000000000
+GAUSS, HECTOPASCAL = 1e4, 1e-2  # of a tesla, of a pascal
+TEMPERATURE = 25.0  # degC
+FIX_3D, SATELLITES = 3, 12
+ACCURACY = 90, 150  # cm; across and up, as a receiver says
+PACKET = 65536  # bytes
+LOOK = 0.5  # s; how often it is looked whether the firmware lives
+TO_CONNECT, PATIENCE = 20.0, 20.0  # s of the wall clock, within which it connects, and goes on
+UNANSWERED, TICK = (
+    1.0,
+    0.004,
+)  # s; from a sample without an answer to the next: the first, and those behind it
+
+
+class PX4Physics(AutopilotPhysics):
+    """The physics behind PX4 at a rate [Hz]. An empty packet is a sample that PX4 has not answered."""
+
+    def __init__(
+        self,
+        make_simulator: Callable[[float], Simulator],
+        make_injector: Callable[[], FaultInjector],
+        rate: float,
+    ) -> None:
+        super().__init__(make_simulator, make_injector)
+        self._rate, self._commanded, self._stamp = rate, False, 0
+        self._mavlink = dialect.MAVLink(None, srcSystem=1, srcComponent=200)
+        self._field, self._pressure = np.zeros(3), standard_pressure(HOME[2])
+
+    def answer(self, data: bytes, sender: Any = None) -> bytes | None:
+        """Fly one period under the outputs of a packet; return the sensors; None for no such packet."""
+        if self._simulator is None:
+            return self.begin(self._rate).line
+        vehicle = self._simulator.plant.vehicle
+        if data:
+            try:
+                stamp, controls = self._read(data)
+            except ValueError as error:
+                return self.refuse(error)
+            if stamp < self._stamp:  # it is of a sample that has been given up
+                self.counts["late"] += 1
+                return None
+            shares = controls[: len(vehicle.rotors.positions)]
+            self._commanded = True
+            return self.fly(speeds_of_shares(vehicle, shares), self._simulator).line
+        self.counts["unanswered"] += self._commanded
+        held = None if self.shown is None else self.shown.command
+        nothing = speeds_of_shares(vehicle, np.zeros(len(vehicle.rotors.positions)))
+        return self.fly(nothing if held is None else held, self._simulator).line
+
+    def _read(self, data: bytes) -> tuple[int, list[float]]:
+        """Return stamp [us] and controls of a packet; a ValueError says what is wrong with it."""
+        try:
+            message: Any = self._mavlink.decode(bytearray(data))
+            controls = message.controls
+        except (dialect.MAVError, AttributeError) as error:
+            raise ValueError(f"packet: {error}") from None
+        if not all(map(math.isfinite, controls)):
+            raise ValueError(f"controls: {controls}, expected numbers")
+        return message.time_usec, controls
+
+    def encode(self, time: float, sample: ImuSample, emission: Emission) -> bytes:
+        """Write what the sensors say at a time [s]; before it a position, as HIL_SENSOR moves the clock."""
+        stamp, updated = round(1e6 * (time + BOOT)), IMU_FIELDS
+        self._stamp = stamp
+        if emission.field is not None:
+            self._field, updated = GAUSS * to_frd(emission.field), updated | FIELD_FIELDS
+        if emission.pressure is not None:
+            self._pressure, updated = emission.pressure, updated | PRESSURE_FIELDS
+        motion: Any = (*to_frd(sample.specific_force), *to_frd(sample.body_rate), *self._field)
+        air = HECTOPASCAL * self._pressure, 0.0, pressure_height(self._pressure), TEMPERATURE
+        sensors = self._mavlink.hil_sensor_encode(stamp, *motion, *air, updated)
+        place = emission.place
+        before = b"" if place is None or not place.there else self._position(stamp, place)
+        return before + sensors.pack(self._mavlink)
+
+    def _position(self, stamp: int, place: Any) -> bytes:
+        """Write what the position sensor says."""
+        east, north, up = map(float, place.position)
+        velocity = 1e2 * to_ned(place.velocity)
+        width = DEGREE * math.cos(math.radians(HOME[0]))
+        degrees = HOME[0] + north / DEGREE, HOME[1] + east / width
+        where: Any = *(round(1e7 * each) for each in degrees), round(1e3 * (HOME[2] + up)), *ACCURACY
+        speeds: Any = round(math.hypot(velocity[0], velocity[1])), *map(round, velocity)
+        heading = round(1e2 * course(velocity))
+        message = self._mavlink.hil_gps_encode(stamp, FIX_3D, *where, *speeds, heading, SATELLITES)
+        return message.pack(self._mavlink)
+
+
+def course(velocity: Any) -> float:
+    """Return the course [deg] of a velocity, north and east first, from 0 to 360."""
+    return math.degrees(math.atan2(velocity[1], velocity[0])) % 360.0
+
+
+class PX4Server:
+    """Where PX4 connects, on loopback; one connection alone is answered."""
+
+    def __init__(self, port: int = 0) -> None:
+        self._listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            self._listening.bind((LOOPBACK, port))
+        except OSError as error:
+            self._listening.close()
+            raise SitlError(f"TCP port {port}: {error.strerror}") from None
+        self._listening.listen(1)
+        self.port = int(self._listening.getsockname()[1])
+        self._peer: socket.socket | None = None
+        self._mavlink = dialect.MAVLink(None)
+        self._mavlink.robust_parsing = True
+        self._heard = 0.0  # when PX4 answered last, by the wall clock; 0: not yet [s]
+        self._answers = False  # the last sample was answered
+        self._looked = 0.0  # when it was looked whether the firmware lives [s]
+        self.strangers = 0  # packets from elsewhere
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._listening.close()
+        if self._peer is not None:
+            self._peer.close()
+
+    def wait(self, firmware: Firmware) -> list[bytes]:
+        """Return PX4's answer, empty if there is none; `SitlError` if the firmware has ended or hangs."""
+        if self._peer is None:
+            self._connect(firmware)
+            return [b""]
+        self._answers = bool(packets := self.take(UNANSWERED if self._answers else TICK))
+        if packets:
+            return packets
+        if self._heard or self._is_time():
+            firmware.check_alive()
+        if self._heard and time.monotonic() > self._heard + PATIENCE:
+            words = f"hangs: it has sent nothing more for {PATIENCE:g} s"
+            raise SitlError(f"{firmware.arguments[0]}: {words}{firmware.last_words()}")
+        return [b""]
+
+    def take(self, patience: float) -> list[bytes]:
+        """Return the last answer that has come, waiting so long [s] for one."""
+        if self._peer is None:
+            return []
+        end = time.monotonic() + patience
+        while True:
+            ready, _, _ = select.select([self._peer], [], [], max(0.0, end - time.monotonic()))
+            if not ready:
+                return []
+            with contextlib.suppress(OSError):
+                data = self._peer.recv(PACKET)
+                if not data:  # PX4 has gone
+                    time.sleep(patience)
+                    return []
+                messages: Any = self._mavlink.parse_buffer(data) or []
+                if outputs := [m for m in messages if m.get_type() == "HIL_ACTUATOR_CONTROLS"]:
+                    self._heard = time.monotonic()
+                    return [bytes(outputs[-1].get_msgbuf())]
+
+    def send(self, line: bytes) -> None:
+        """Send the sensors of a sample."""
+        if self._peer is not None:
+            with contextlib.suppress(OSError):
+                self._peer.sendall(line)
+
+    def _connect(self, firmware: Firmware) -> None:
+        for _ in range(int(TO_CONNECT / LOOK)):
+            if select.select([self._listening], [], [], LOOK)[0]:
+                self._peer, _ = self._listening.accept()
+                self._peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._looked = time.monotonic()
+                return
+            firmware.check_alive()
+        words = f"does not connect to its physics at TCP port {self.port} within {TO_CONNECT:g} s"
+        raise SitlError(f"{firmware.arguments[0]}: {words}{firmware.last_words()}")
+
+    def _is_time(self) -> bool:
+        """Return whether it is to be looked whether the firmware lives."""
+        if time.monotonic() < self._looked + LOOK:
+            return False
+        self._looked = time.monotonic()
+        return True
