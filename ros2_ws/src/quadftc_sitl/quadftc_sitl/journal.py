@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -44,6 +45,7 @@ class Journal:
         number: entry.name.removeprefix("COPTER_MODE_")
         for number, entry in dialect.enums.get("COPTER_MODE", {}).items()
     }
+    BEFORE: Mapping[str, str] = {}  # mode -> the one that ends in it
     REFUSALS = ("PreArm:", "Arm:")  # begin the texts that say why it does not arm
 
     def __init__(self) -> None:
@@ -117,7 +119,7 @@ class Journal:
         self.armed = armed
         if message.custom_mode != self.mode:
             self.mode = message.custom_mode
-            is_ours = self.asked_mode in ("", self.mode_name)
+            is_ours = self.asked_mode in ("", self.mode_name, self.BEFORE.get(self.mode_name))
             self._note("mode", f"mode {self.mode_name}", armed and not is_ours)
 
     def _on_statustext(self, message: Any) -> None:
@@ -128,7 +130,8 @@ class Journal:
             if len(message.text) == 50 and "\0" not in message.text:
                 self._chunks[key] = words
                 return
-        serious = message.severity <= SERIOUS and not words.startswith(self.REFUSALS)
+        why_not_armed = words.startswith(self.REFUSALS) and not self.armed
+        serious = message.severity <= SERIOUS and not why_not_armed
         self._note("lane" if LANE in words else "text", words, serious)
 
     def _on_sys_status(self, message: Any) -> None:

@@ -263,8 +263,12 @@ class Pilot(Commander):
         raise NotImplementedError
 
     def _set_mode(self, name: str) -> Steps:
-        """Change the mode; a refusal before scenario time 0 is an error."""
-        answer = yield from self._ask_mode(name)
+        """Change the mode, perhaps when it is ready for it; a refusal before scenario time 0 is an error."""
+        for _ in range(TRIES):
+            answer = yield from self._ask_mode(name)
+            if answer != dialect.MAV_RESULT_TEMPORARILY_REJECTED:
+                break
+            yield from self._pause(RETRY)
         if answer != dialect.MAV_RESULT_ACCEPTED and self.began is None:
             raise SitlError(f"mode {name} refused: MAV_RESULT {answer}")
 

@@ -55,7 +55,7 @@ class PX4Physics(AutopilotPhysics):
     ) -> None:
         super().__init__(make_simulator, make_injector)
         self._rate, self._commanded, self._stamp = rate, False, 0
-        self._mavlink = dialect.MAVLink(None, srcSystem=1, srcComponent=200)
+        self._mavlink: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=200)
         self._field, self._pressure = np.zeros(3), standard_pressure(HOME[2])
 
     def answer(self, data: bytes, sender: Any = None) -> bytes | None:
@@ -74,7 +74,8 @@ class PX4Physics(AutopilotPhysics):
             shares = controls[: len(vehicle.rotors.positions)]
             self._commanded = True
             return self.fly(speeds_of_shares(vehicle, shares), self._simulator).line
-        self.counts["unanswered"] += self._commanded
+        if self._commanded:
+            self.counts["unanswered"] += 1
         held = None if self.shown is None else self.shown.command
         nothing = speeds_of_shares(vehicle, np.zeros(len(vehicle.rotors.positions)))
         return self.fly(nothing if held is None else held, self._simulator).line

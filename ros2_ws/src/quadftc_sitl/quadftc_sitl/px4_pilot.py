@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -42,6 +43,7 @@ class PX4Journal(Journal):
 
     AUTOPILOT, NAME = dialect.MAV_AUTOPILOT_PX4, "PX4"
     MODES = {main << 16 | sub << 24: name for (main, sub), name in MODES.items()}
+    BEFORE: Mapping[str, str] = {"LOITER": "MISSION"}
     REFUSALS = ("Preflight Fail:", "Arming denied:")
 
     def mode_parameters(self, name: str) -> tuple[float, ...]:

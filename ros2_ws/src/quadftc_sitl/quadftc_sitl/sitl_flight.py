@@ -69,26 +69,24 @@ def fly_sitl(
     (out / SCENARIO).write_text(text, encoding="utf-8")
     place = combined(tuple(part.law for part in plan.scenario.trajectories), 0.0).position
     start = float(place[0]), float(place[1])
-    physics, link, server = Physics(plan, start, engine), MavlinkLink(), autopilot.server(physics_port)
+    physics = Physics(plan, start, engine)
     scheduled = {fault.injection.channel for fault in plan.scenario.faults}
     channels = scheduled if live is None else CHANNEL_UNITS
-    recorder = Recorder(out / BAG, {SCENARIO: text.encode()}, channels)
-    beginning = autopilot.start(binary, out, server.port, link.port)
-    flight = Flight(plan, physics, server, link, recorder)
-    try:
-        with contextlib.ExitStack() as stack:
-            if live is not None:
-                from quadftc_sitl.live import LiveFlight  # starts ROS
+    with contextlib.ExitStack() as stack:
+        link = stack.enter_context(contextlib.closing(MavlinkLink()))
+        server = stack.enter_context(contextlib.closing(autopilot.server(physics_port)))
+        beginning = autopilot.start(binary, out, server.port, link.port)
+        stack.callback(autopilot.tidy, beginning)
+        attachments = {SCENARIO: text.encode()}
+        recorder = stack.enter_context(contextlib.closing(Recorder(out / BAG, attachments, channels)))
+        flight = Flight(plan, physics, server, link, recorder)
+        if live is not None:
+            from quadftc_sitl.live import LiveFlight  # starts ROS
 
-                flight.live = stack.enter_context(LiveFlight(live, plan, physics, flight.pilot))
-            firmware = stack.enter_context(Firmware(beginning.arguments, out, beginning.environment))
-            flight.fly(firmware)
-            firmware.end(flight.serve)
-    finally:
-        autopilot.tidy(beginning)
-        recorder.close()
-        link.close()
-        server.close()
+            flight.live = stack.enter_context(LiveFlight(live, plan, physics, flight.pilot))
+        firmware = stack.enter_context(Firmware(beginning.arguments, out, beginning.environment))
+        flight.fly(firmware)
+        firmware.end(flight.serve)
     wall_time = time.perf_counter() - begin
     result = flight.result(beginning.arguments, wall_time)
     result |= diagnose_log_of(out, plan, flight.log_zero, result["faults"])
@@ -181,7 +179,7 @@ class Flight:
         plan, pilot, physics = self._plan, self.pilot, self._physics
         zero, journal = pilot.began or 0.0, pilot.journal
         scenario = plan.scenario
-        faults = describe_faults(plan, physics.injector.noted(zero).values())
+        faults = describe_faults(plan, physics.injector.begun_since(zero))
         events = [event._replace(time=round(event.time - zero, 3)) for event in journal.events]
         survived = pilot.lost is None and (pilot.landed or self._fate.stands)
         stands = "stands with its motors running" if self._fate.stands else "still flying when time was up"
@@ -210,7 +208,7 @@ class Flight:
             "ended": ended,
             "lost_s": None if pilot.lost is None else round(pilot.lost - zero, 3),
             "faults": faults,
-            "observer_said": observed_all(physics.reports, physics.begin_ns or 0, scenario.duration),
+            "observer_said": observed_all(physics.reports, physics.begin_ns or 0, pilot.end - zero),
             "guardian": self._guarded(),
             "autopilot_said": [event._asdict() for event in events],
             "real_time_factor": physics.now / wall_time if wall_time > 0.0 else None,

@@ -45,6 +45,10 @@ class NotedInjector(FaultInjector):
             for number, fault in sorted(self._noted.items())
         }
 
+    def begun_since(self, zero: float) -> list[Fault]:
+        """Return those that have begun, as `noted` does."""
+        return [fault for fault in self.noted(zero).values() if fault.injection.start <= self.now - zero]
+
 
 def shifted(injection: Injection, time: float, digits: int | None = None) -> Injection:
     """Return an injection that is later by a time [s]; its times may be rounded to so many digits."""
