@@ -22,7 +22,6 @@ WHEEL = {re.split(r"[><=;]", each)[0].strip() for each in NEEDED}  # what the wh
 ROSDEP = {"numpy": "python3-numpy", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 # what has no key in rosdep, or an older version there, comes with the wheel; PyPI calls it otherwise
 DISTRIBUTIONS = {
-    "dask": "distributed",  # it needs it
     "pydantic_core": "pydantic",
     "ruamel": "ruamel.yaml",
     "sklearn": "scikit-learn",

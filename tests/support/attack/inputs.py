@@ -87,7 +87,7 @@ REFUSED = {
     "serve": ["--port", "-1"],
 }
 SPARED = {
-    *("--help", "--realtime-priority", "--loop", "--scheduler", "--workers", "--jobs", "--delay", "--graph"),
+    *("--help", "--realtime-priority", "--loop", "--workers", "--jobs", "--delay", "--graph"),
     *("--install-completion", "--show-completion"),
 }  # options that change the machine, or take long
 

@@ -46,8 +46,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidato
 from quadftc_campaign.batch.engine import ENGINES, JAX
 from quadftc_campaign.batch.records import ROOTS, VARIATION
 from quadftc_campaign.campaign_checks import CampaignCheck, wrong_checks
-from quadftc_campaign.cluster import has_accelerator
 from quadftc_campaign.distributions import GRID, Distribution, distribution
+from quadftc_campaign.workers import has_accelerator
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.scenario import (

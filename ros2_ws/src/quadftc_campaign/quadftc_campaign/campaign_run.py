@@ -27,11 +27,11 @@ from quadftc_campaign.batch.engine import JAX, Progress, compile_laws, fly_all, 
 from quadftc_campaign.batch.records import fault_records, flight_record
 from quadftc_campaign.campaign_checks import campaign_results
 from quadftc_campaign.campaign_file import Campaign
-from quadftc_campaign.cluster import cluster_client, devices, run_tasks
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import batch_flight, first_columns, flight_scenario
 from quadftc_campaign.open_loop import fly_open, loops_of
 from quadftc_campaign.table import ORDER, Row, Rows, summary_of, table_of, with_ratios
+from quadftc_campaign.workers import devices, run_tasks, started_workers
 from quadftc_flight.scenario import Scenario
 from quadftc_model.composition import Composition
 from quadftc_sim.assembly import sample_count
@@ -142,14 +142,8 @@ class CampaignRun:
                 path.unlink()
                 yield f"{path}: {why}; its {len(numbers)} flights are flown again"
 
-    def fly(
-        self,
-        address: str | None,
-        workers: int,
-        progress: Progress,
-        told: Callable[[str], None] = lambda devices: None,
-    ) -> None:
-        """Fly what is missing, on a cluster as in `cluster_client`; ``told`` gets its devices.
+    def fly(self, count: int, progress: Progress, told: Callable[[str], None] = lambda devices: None) -> None:
+        """Fly what is missing in so many processes; ``told`` gets their devices.
 
         A chunk that takes longer than `PATIENCE` is flown piece by piece; its file grows.
         """
@@ -161,12 +155,12 @@ class CampaignRun:
             for each in self.campaign.variants
         }
         function = functools.partial(fly_chunk, patience=PATIENCE)
-        with cluster_client(address, min(workers, len(missing))) as client:
-            told(devices(client, self.campaign.engine))
+        with started_workers(min(count, len(missing))) as workers:
+            told(devices(workers, self.campaign.engine))
             while missing:
                 places = [*missing]
                 tasks = [(alone[self._chunks[place][1].name], missing[place]) for place in places]
-                for index, rows in run_tasks(client, function, tasks, progress):
+                for index, rows in run_tasks(workers, function, tasks, progress):
                     path = self._paths[places[index]]
                     before = [pl.read_parquet(path)] if path.is_file() else []
                     _write_table(pl.concat([*before, table_of(rows)], how="diagonal_relaxed"), path)

@@ -5,24 +5,21 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
-import threading
-import time
 
 import numpy as np
 import pytest
 from polars.testing import assert_frame_equal
+from worker_tasks import be_killed, double
 
 from quadftc_campaign import campaign_run
 from quadftc_campaign.campaign_checks import CampaignCheck, campaign_results
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.campaign_run import CampaignRun, chunks_of, fly_chunk
-from quadftc_campaign.cluster import TAKE_ALL, cluster_client, devices, run_tasks
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import drawn, flight_scenario, variant_of
 from quadftc_campaign.table import summary_of, table_of, with_ratios
+from quadftc_campaign.workers import TAKE_ALL, devices, run_tasks, started_workers
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE
 from quadftc_flight.metrics import flight_metrics
@@ -261,98 +258,45 @@ def test_results_with_two_workers_are_those_without(alike, tmp_path):
     extent = run.open(resume=False)
     assert (extent.chunks, extent.missing) == (4, 4)
     seen = []
-    run.fly(None, 2, seen.append)
+    run.fly(2, seen.append)
     frame, summary = run.finish()
     assert frame.equals(flown_alone(alike))
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == json.loads(json.dumps(summary))
     assert sum(seen) <= extent.samples
 
 
-def test_workers_share_a_gpu_and_one_that_is_killed_in_the_middle_loses_nothing(monkeypatch):
-    """It is started again, and its task done again; that of a cluster that exists, below, flies."""
-    monkeypatch.delenv(TAKE_ALL, raising=False)
-
-    def double(number, progress):  # a worker gets it by value
-        progress(1)
-        time.sleep(0.2)
-        return 2 * number
-
-    killed = threading.Event()
-    with cluster_client(None, 2) as client:
-        assert "2 x " in devices(client, "jax")
-        assert set(client.run(os.getenv, TAKE_ALL).values()) == {"false"}  # of its memory
-        pids = client.run(os.getpid)
-        assert len(set(pids.values())) == 2
-        victim = sorted(pids.values())[0]
+def test_worker_that_is_killed_in_the_middle_loses_nothing():
+    killed = []
+    with started_workers(2) as workers:
+        assert devices(workers, "jax") == "2 x cpu"
+        assert workers.submit(os.getenv, TAKE_ALL).result() == "false"  # of a GPU's memory
+        victim = workers.submit(os.getpid).result()
 
         def kill_once(samples):
-            if not killed.is_set():
-                killed.set()
+            if not killed:
+                killed.append(samples)
                 os.kill(victim, signal.SIGKILL)
 
-        found = dict(run_tasks(client, double, [(number,) for number in range(4)], kill_once))
-        client.wait_for_workers(2, timeout=30.0)
-        assert victim not in client.run(os.getpid).values()
-    assert killed.is_set()
-    assert found == {number: 2 * number for number in range(4)}
+        found = dict(run_tasks(workers, double, [(number,) for number in range(4)], kill_once))
+    assert killed
+    assert {place: twice for place, (_, twice) in found.items()} == {k: 2 * k for k in range(4)}
+    assert found[3][0] != victim
 
 
-@pytest.fixture
-def cluster(tmp_path):
-    """Address of a scheduler, and two workers, started as one starts them on a cluster."""
-    file = tmp_path / "scheduler.json"
-    common = ["--scheduler-file", str(file), "--no-dashboard"]
-    with contextlib.ExitStack() as stack:
-
-        def start(*arguments):
-            process = subprocess.Popen(
-                [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], *arguments[1:], *common],
-                stderr=subprocess.DEVNULL,
-                cwd=tmp_path,
-            )
-            stack.callback(process.wait, 30)
-            stack.callback(process.kill)
-            return process
-
-        start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        until = time.monotonic() + 60.0
-        while not file.exists() or not file.read_text():
-            assert time.monotonic() < until, "no scheduler"
-            time.sleep(0.1)
-        workers = [start("worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1") for _ in range(2)]
-        yield json.loads(file.read_text())["address"], workers
-
-
-def test_a_cluster_that_exists_flies_the_same_with_a_worker_killed(alike, tmp_path, cluster):
-    """Workers started by hand: one is killed in the middle, the other does its chunks again."""
-    address, workers = cluster
-    run = CampaignRun(alike, tmp_path / "out", SIZE)
-    run.open(resume=False)
-    killed = threading.Event()
-
-    def kill_once(samples):
-        if not killed.is_set():
-            killed.set()
-            workers[0].kill()
-
-    said = []
-    run.fly(address, 1, kill_once, said.append)
-    frame, _ = run.finish()
-    assert killed.is_set()
-    assert frame.equals(flown_alone(alike))
-    assert said
-    assert "cpu" in said[0]
+def test_worker_that_is_always_killed_is_said_in_one_line():
+    with started_workers(1) as workers, pytest.raises(CampaignError, match=r"chunk 0: .* killed 4 times"):
+        list(run_tasks(workers, be_killed, [()]))
 
 
 @pytest.fixture
 def in_this_process(monkeypatch):
     """Chunks are flown here; the tests that kill workers show that these fly the same."""
 
-    def run_here(client, function, arguments, progress):
+    def run_here(workers, function, arguments, progress):
         return enumerate(function(*each, progress) for each in arguments)
 
-    monkeypatch.setattr(campaign_run, "cluster_client", lambda address, workers: contextlib.nullcontext())
-    monkeypatch.setattr(campaign_run, "devices", lambda client, engine: "here")
+    monkeypatch.setattr(campaign_run, "started_workers", lambda count: contextlib.nullcontext())
+    monkeypatch.setattr(campaign_run, "devices", lambda workers, engine: "here")
     monkeypatch.setattr(campaign_run, "run_tasks", run_here)
 
 
@@ -361,7 +305,7 @@ def test_a_campaign_goes_on_where_it_was_and_ends_the_same(alike, tmp_path, monk
     """Also where each flight takes so long that it is handed over by itself."""
     whole = CampaignRun(alike, tmp_path / "whole", SIZE)
     whole.open(resume=False)
-    whole.fly(None, 1, lambda samples: None)
+    whole.fly(1, lambda samples: None)
     expected, _ = whole.finish()
     assert expected.equals(flown_alone(alike))
     chunks = sorted((tmp_path / "whole" / "chunks").iterdir())
@@ -374,7 +318,7 @@ def test_a_campaign_goes_on_where_it_was_and_ends_the_same(alike, tmp_path, monk
     assert again.open(resume=True).missing == 2
     monkeypatch.setattr(campaign_run, "PATIENCE", 0.0)
     assert {row["flight"] for row in fly_chunk(alike, range(SIZE), patience=0.0)} == {0}
-    again.fly(None, 1, lambda samples: None)
+    again.fly(1, lambda samples: None)
     frame, _ = again.finish()
     assert frame.equals(expected)
     for name in ("summary.json", "flights.parquet"):
@@ -405,7 +349,7 @@ def test_a_full_disk_is_said_in_one_line(alike, tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(CampaignError, match=r"chunks.*No space left on device.*--resume goes on"):
-        run.fly(None, 1, lambda samples: None)
+        run.fly(1, lambda samples: None)
     assert not list((tmp_path / "out" / "chunks").iterdir())
 
 
@@ -414,15 +358,6 @@ def test_a_variant_or_flight_that_is_not_there_is_refused(campaign):
         variant_of(campaign, "x")
     with pytest.raises(CampaignError, match="no flight 12; there are 0 to 11"):
         flight_scenario(campaign, 12, campaign.variants[0])
-
-
-def test_a_scheduler_that_is_not_there_is_said_in_one_line(monkeypatch):
-    monkeypatch.setattr("quadftc_campaign.cluster.TIMEOUT", 0.3)
-    with (
-        pytest.raises(CampaignError, match=r"scheduler tcp://127.0.0.1:1: "),
-        cluster_client("tcp://127.0.0.1:1", 1),
-    ):
-        pass
 
 
 def test_attitude_errors_are_related_to_those_of_the_same_flight_without_a_diagnosis():
@@ -488,7 +423,7 @@ def test_faults_of_several_sensors_are_told_apart_and_confusions_add_up(campaign
 def test_a_damaged_chunk_is_named_and_flown_again(alike, tmp_path, harm):
     run = CampaignRun(alike, tmp_path / "out", SIZE)
     run.open(resume=False)
-    run.fly(None, 1, lambda samples: None)
+    run.fly(1, lambda samples: None)
     expected, _ = run.finish()
     first, second, *_ = sorted((tmp_path / "out" / "chunks").iterdir())
     content = {
@@ -501,5 +436,5 @@ def test_a_damaged_chunk_is_named_and_flown_again(alike, tmp_path, harm):
     extent = again.open(resume=True)
     assert extent.missing == 1
     assert re.fullmatch(rf"{re.escape(str(second))}: .+; its \d+ flights are flown again", extent.damaged[0])
-    again.fly(None, 1, lambda samples: None)
+    again.fly(1, lambda samples: None)
     assert again.finish()[0].equals(expected)

@@ -163,7 +163,7 @@ def test_tuned_gains_fly_better_and_can_be_used(tmp_path, capsys):
     """A roll axis four times too soft, through gradients of real flights, to a file and into a scenario."""
     campaign = loaded(tmp_path)
     told = []
-    found = tune(campaign, None, 1, told.append)
+    found = tune(campaign, 1, told.append)
     assert len(told) == 5
     assert found.after.cost < 0.8 * found.before.cost
     assert found.after.crashed == 0

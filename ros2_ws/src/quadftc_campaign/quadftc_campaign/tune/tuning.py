@@ -16,7 +16,6 @@ from ruamel.yaml import YAML
 
 from quadftc_campaign.campaign_file import Campaign, TuneKeys
 from quadftc_campaign.campaign_run import FLIGHTS_A_CHUNK, fly_chunk, pieces_of, report_refusal
-from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.table import Rows, table_of, whole_flights
 from quadftc_campaign.tune.sensitivity import (
@@ -28,6 +27,7 @@ from quadftc_campaign.tune.sensitivity import (
     shares_of_cost,
     with_gains,
 )
+from quadftc_campaign.workers import Workers, run_tasks, started_workers
 from quadftc_flight.scenario import ROLES, ScenarioError, build_scenario, grade_of
 from quadftc_model.samples import AXES
 from quadftc_theory.checks import check_scenario
@@ -72,21 +72,21 @@ def checked(campaign: Campaign) -> Gains:
     return gains_of(campaign, build_scenario(campaign.base).scheme(first.scheme), names)
 
 
-def tune(campaign: Campaign, address: str | None, workers: int, told: Callable[[float], None]) -> Tuned:
-    """Tune; nothing is written. ``told`` gets the cost at each step; for the cluster see `cluster_client`."""
+def tune(campaign: Campaign, count: int, told: Callable[[float], None]) -> Tuned:
+    """Tune; nothing is written. ``told`` gets the cost at each step; ``count`` processes fly."""
     start, metrics = checked(campaign), tuple(_keys(campaign).cost)
-    with cluster_client(address, workers) as client:
+    with started_workers(count) as workers:
 
         def fly(with_them: Campaign, gains: Gains, numbers: Sequence[int]) -> Sensitivity:
-            pieces = pieces_of(list(numbers), -(-len(numbers) // len(client.nthreads())))
+            pieces = pieces_of(list(numbers), -(-len(numbers) // workers.count))
             arguments = [(with_them, gains, metrics, piece) for piece in pieces]
-            flown = sorted(run_tasks(client, sensitivity, arguments), key=lambda each: each[0])
+            flown = sorted(run_tasks(workers, sensitivity, arguments), key=lambda each: each[0])
             return Sensitivity(*map(np.concatenate, zip(*(part for _, part in flown), strict=True)))
 
         search = Search(campaign, start, fly)
         for _, cost in search.steps():
             told(cost)
-        before, after = _judge_gains(client, campaign, (start, search.result), search.shares)
+        before, after = _judge_gains(workers, campaign, (start, search.result), search.shares)
     return Tuned(start, search.result, search.failing, before, after)
 
 
@@ -166,7 +166,7 @@ def _keys(campaign: Campaign) -> TuneKeys:
     return campaign.tune
 
 
-def _judge_gains(client: Any, campaign: Campaign, each: Sequence[Gains], shares: Floats) -> list[Judged]:
+def _judge_gains(workers: Workers, campaign: Campaign, each: Sequence[Gains], shares: Floats) -> list[Judged]:
     """Fly the flights after those of the campaign, with each of some gains."""
     total = campaign.flights + _keys(campaign).held_out
     pieces = pieces_of(list(range(campaign.flights, total)), FLIGHTS_A_CHUNK)
@@ -174,7 +174,7 @@ def _judge_gains(client: Any, campaign: Campaign, each: Sequence[Gains], shares:
     tried = [with_gains(longer, campaign.variants[0].scheme, gains) for gains in each]
     rows: list[Rows] = [[] for _ in each]
     tasks = [(one, piece) for one in tried for piece in pieces]
-    for place, flown in run_tasks(client, fly_chunk, tasks):
+    for place, flown in run_tasks(workers, fly_chunk, tasks):
         rows[place // len(pieces)] += flown
     metrics, judged = [*_keys(campaign).cost], list[Judged]()
     columns = [f"{name}.{axis}" for name in metrics for axis in AXES]

@@ -16,7 +16,7 @@ from typer import Argument, Option
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import INTERRUPTED
-from quadftc_cli.commands.options import JunitOption, SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.commands.options import JunitOption, WorkersOption, workers_here
 from quadftc_cli.screen import Bars, console, warn
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ def campaign(
     flights: Annotated[int | None, Option(help="Number of flights in place of the file's.")] = None,
     seed: Annotated[int | None, Option(help="Seed in place of the file's: other draws.")] = None,
     resume: Annotated[bool, Option("--resume", help="Go on with what is in the directory.")] = False,
-    scheduler: SchedulerOption = None,
     workers: WorkersOption = None,
     flight: Annotated[
         list[int],
@@ -82,7 +81,7 @@ def campaign(
         jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
         how = RunOptions(force=force, engine=engine or "c")
         raise typer.Exit(fly_jobs(jobs, directory / "runs", how, junit=junit))
-    raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers, junit))
+    raise typer.Exit(_fly_all(loaded, file, directory, resume, workers, junit))
 
 
 def _fly_all(
@@ -90,11 +89,10 @@ def _fly_all(
     file: Path,
     directory: Path,
     resume: bool,
-    scheduler: str | None,
     workers: int | None,
     junit: Path | None,
 ) -> int:
-    cores = workers_here(workers, scheduler)
+    cores = workers_here(workers)
     from quadftc_campaign.campaign_run import CampaignRun
     from quadftc_cli.judging import judge
     from quadftc_report.campaign_results import results_of
@@ -106,7 +104,7 @@ def _fly_all(
     screen.print(f"{loaded.name}: {extents}, by {loaded.engine}, {loaded.flown_precision}")
     extent = flown.open(resume)
     warn(extent.damaged)
-    where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
+    where = f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores"
     screen.print(f"{extent.missing} of {extent.chunks} chunks to fly; starting workers on {where}")
     phase = "compiling, then flying" if loaded.engine == "jax" else "flying"
     started, steps = time.monotonic(), list[int]()
@@ -119,7 +117,7 @@ def _fly_all(
     try:
         with Bars(screen) as bars:
             update = bars.add("flying")
-            flown.fly(scheduler, cores, advance, lambda devices: screen.print(f"{phase} on {devices}"))
+            flown.fly(cores, advance, lambda devices: screen.print(f"{phase} on {devices}"))
     except KeyboardInterrupt:
         screen.print(f"interrupted; --resume goes on with what is in {directory}")
         return INTERRUPTED

@@ -63,18 +63,13 @@ GainsOption = Annotated[
     str, Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
 ]
 JunitOption = Annotated[Path | None, Option(metavar="FILE", help="Write the checks as JUnit XML, too.")]
-SchedulerOption = Annotated[
-    str | None, Option(help="Dask scheduler that exists, tcp://HOST:PORT; default: this machine.")
-]
 WorkersOption = Annotated[int | None, Option(help="Processes on this machine; default: one for each core.")]
 
 
-def workers_here(workers: int | None, scheduler: str | None) -> int:
+def workers_here(workers: int | None) -> int:
     """Return how many processes to start on this machine; CampaignError if the number makes no sense."""
-    if workers is not None and (workers < 1 or scheduler is not None):
-        raise CampaignError(
-            f"--workers {workers}: must be positive, and is for this machine, not for --scheduler"
-        )
+    if workers is not None and workers < 1:
+        raise CampaignError(f"--workers {workers}: must be positive")
     return workers or len(os.sched_getaffinity(0))
 
 

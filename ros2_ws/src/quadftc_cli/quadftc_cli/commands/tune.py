@@ -13,7 +13,7 @@ from typer import Argument, Option
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import CHECK_FAILED, INTERRUPTED
-from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.commands.options import WorkersOption, workers_here
 from quadftc_cli.screen import Bars, console, say
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ def tune(
     file: Annotated[Path, Argument(help="Campaign file with a key 'tune' (see campaigns/).")],
     out: Annotated[Path | None, Option(help="File for the gains; default: gains/NAME.yaml.")] = None,
     steps: Annotated[int | None, Option(help="Steps of the search in place of the file's.")] = None,
-    scheduler: SchedulerOption = None,
     workers: WorkersOption = None,
     force: Annotated[bool, Option("--force", help="Replace the file.")] = False,
 ) -> None:
@@ -33,7 +32,7 @@ def tune(
     from quadftc_campaign.tune.tuning import checked, write
     from quadftc_campaign.tune.tuning import tune as tuned_for
 
-    cores = workers_here(workers, scheduler)
+    cores = workers_here(workers)
     loaded = load_campaign(file)
     start = checked(loaded)
     if steps is not None and loaded.tune is not None:
@@ -50,9 +49,7 @@ def tune(
     try:
         with Bars(screen) as bars:
             update = bars.add("tuning")
-            found = tuned_for(
-                loaded, scheduler, cores, lambda cost: update(next(done) / total, f"cost {cost:.4f}")
-            )
+            found = tuned_for(loaded, cores, lambda cost: update(next(done) / total, f"cost {cost:.4f}"))
     except KeyboardInterrupt:
         screen.print("interrupted; nothing is written")
         raise typer.Exit(INTERRUPTED) from None
