@@ -1,8 +1,8 @@
 # pyright: basic
 """A flight that one can touch: in real time, with the topics and services of a backend node.
 
-`quadftc inject`, `clear` and `watch`, and the page of `quadftc live`, find the node ``ardupilot_backend``.
-Until the vehicle is armed, time runs as fast as the machine can.
+`quadftc inject`, `clear` and `watch`, and the page of `quadftc live`, find a node such as
+``ardupilot_backend``. Until the vehicle is armed, time runs as fast as the machine can.
 """
 
 from __future__ import annotations
@@ -42,7 +42,6 @@ from quadftc_sitl.pilot import Pilot
 from quadftc_sitl.plan import SitlPlan
 from quadftc_sitl.truth import MICROSECOND, shifted
 
-NAME = "ardupilot_backend"
 LOOK, TO_BE_FOUND = 0.01, 1.0  # s; between two looks at services and clock; for other vehicles in the domain
 BEHIND = 0.1  # s; what is more behind real time is not caught up
 TOLD = 3  # of the autopilot's last warnings, in /diagnostics
@@ -75,7 +74,7 @@ class SitlNode(GraphNode):
     """
 
     def __init__(self, plan: SitlPlan, physics: Physics, journal: Journal, **kwargs: Any) -> None:
-        super().__init__(NAME, **kwargs)
+        super().__init__(f"{plan.autopilot.name}_backend", **kwargs)
         self.settings.declare(SitlParameters, read_only=True)
         rotors = plan.scenario.rotors
         self._journal, self._rate = journal, plan.rate
@@ -244,7 +243,7 @@ class LiveFlight:
     def _tell_event(self, event: Event) -> None:
         """Tell of what the autopilot says: in flight what matters, on the ground why it does not arm."""
         if self._zero is None:
-            if event.words.startswith(("PreArm:", "Arm:")) and event.words not in self._refusals:
+            if event.words.startswith(self._pilot.journal.REFUSALS) and event.words not in self._refusals:
                 self._refusals.add(event.words)
                 self._say(f"autopilot: {event.words}", event.time)
         elif event.serious or event.kind in SPOKEN:

@@ -27,7 +27,7 @@ FRAME_PERIOD = 1.0 / 30.0  # s
 TEXT_PERIOD = 0.2  # s; between two looks at states and numbers
 SLOW = 0.95  # of real time; a flight below it says so
 STYLE = Path(__file__).with_name("page.css")
-AUTOPILOT = "ardupilot_backend", "autopilot"  # node and part of /diagnostics where an autopilot flies
+AUTOPILOT = "_backend", "autopilot"  # end of the node's name, and part of /diagnostics
 RATES = (("controller", "timing"), ("fault_observer", "timing"), AUTOPILOT)  # that may report a rate
 SENSOR_FAULTS = (  # label, axis that the charts show then, fault
     ("roll reads +8°", 0, "bias axis=roll value=8deg"),
@@ -230,7 +230,7 @@ class _Page:
         said: dict[str, list[str]] = {}  # by words, who says so
         for _, name, words in picture.warnings():
             if "fault" not in name:
-                said.setdefault(words, []).append(name.partition(":")[0])
+                said.setdefault(words, []).append(name.partition(":")[0].removesuffix(AUTOPILOT[0]))
         self._set("warnings", "\n".join(f"{', '.join(names)}: {words}" for words, names in said.items()))
         self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
         rates = (picture.value(node, part, "rate_hz") for node, part in RATES)

@@ -19,8 +19,8 @@ from quadftc_sitl.plan import SitlPlan
 @contextmanager
 def showing(plan: SitlPlan, port: int, opens: bool) -> Iterator[Live]:
     """Serve the page of a flight, and open it in a browser if asked for; yields how the flight is shown."""
-    scenario = plan.scenario
-    parts = f"{Path(scenario.vehicle).stem}, observer {plan.scheme.observer.kind}, flown by ArduPilot"
+    scenario, observer = plan.scenario, plan.scheme.observer.kind
+    parts = f"{Path(scenario.vehicle).stem}, observer {observer}, flown by {plan.autopilot.title}"
     flown = {
         "title": scenario.description or scenario.name,
         "parts": f"{parts}, {plan.rate:g} Hz",
