@@ -25,8 +25,8 @@ def fly_graph(tmp_path_factory):
 
     flown = {}
 
-    def fly(scenario, scheme, take=0, **options):
-        key = (scenario.name, scenario.duration, scheme, take, tuple(sorted(options.items())))
+    def fly(scenario, scheme, **options):
+        key = (scenario.name, scenario.duration, scheme, tuple(sorted(options.items())))
         if key not in flown:
             out = tmp_path_factory.mktemp("runs")
             name = run_name(scenario, scenario.scheme(scheme))

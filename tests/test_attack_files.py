@@ -128,7 +128,7 @@ BESIDE = ["parameters.yaml", "metadata.yaml", "scenario.yaml"]
 
 
 @pytest.mark.parametrize(
-    ("text", "file", "command"), sampled(DEEP, BESIDE, ["check", "replay", "repair"], every=4)
+    ("text", "file", "command"), sampled(DEEP, BESIDE, ["check", "replay", "repair"], every=11)
 )
 def test_deep_yaml_beside_a_bag_is_no_crash(seeds, sandbox, command, file, text):
     files = {f"bag/{name}": data for name, data in seeds.bag.items()}

@@ -49,7 +49,7 @@ def untracked(metrics: Any) -> Any:
     return {name: untracked(value) for name, value in metrics.items() if not name.startswith(unknown)}
 
 
-@pytest.mark.parametrize("scheme", ["proposed", "conventional"])
+@pytest.mark.parametrize("scheme", ["proposed", pytest.param("conventional", marks=pytest.mark.thorough)])
 def test_replay_of_a_run_repeats_its_estimates_bit_for_bit(fly_graph, busy_scenario, scheme, tmp_path):
     """Noise, a late sensor, every kind of fault, samples and single channels withheld."""
     run, summary = fly_graph(busy_scenario, scheme)

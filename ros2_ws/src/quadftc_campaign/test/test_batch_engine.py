@@ -179,34 +179,21 @@ def test_a_flight_in_jax_is_that_in_c(observer, faults):
     assert_same_outcome(traced(scenario), flown(scenario))
 
 
-def with_plant(scenario, **options):
-    return build_scenario(scenario.document.replaced({("plant",): options}, "test"))
-
-
-def test_vehicles_of_several_inertias_and_motors_fly_together():
-    """They are one structure, so nothing is compiled for each. Their sensors differ, too."""
-    values = [(0.8, 0.0, "mems"), (1.0, 60.0, "ahrs"), (1.25, 20.0, "tactical")]
-    batch = []
-    for factor, bandwidth, grade in values:
-        base = busy(observer="none").document.replaced({("sensors",): {"grade": grade, "delay": 2}}, "test")
-        plant = {"motor_lag": True, "inertia_factor": factor, "motor_bandwidth": bandwidth}
-        batch.append(with_plant(build_scenario(base), **plant))
-    flights = [batch_flight(scenario) for scenario in batch]
-    assert len({flight.structure for flight in flights}) == 1
-    outcomes = zip(fly_all(flights), JaxEngine().fly(flights), batch, strict=True)
-    for outcome, other, scenario in outcomes:
-        assert_same_metrics(outcome, fly(scenario), scenario)
-        assert_same_outcome(other, outcome)
-
-
 def test_flights_of_one_batch_do_not_touch_each_other():
-    """Seeds, values and kinds of faults differ; lanes are filled up; each is as it would be alone."""
-    batch = [
-        with_seed(busy({**BIAS, "value": 0.01 * (index + 1)}, observer="threshold"), index)
-        for index in range(2)
+    """Vehicles, sensors, seeds, faults differ; they are one structure; lanes are filled up."""
+    sine = {"kind": "sine", "amplitude": 0.03, "start": 0.5}
+    values = [
+        (0.8, 0.0, "mems", [BIAS]),
+        (1.0, 60.0, "ahrs", [{**BIAS, "value": 0.02}]),
+        (1.25, 20.0, "tactical", [sine]),
+        (1.0, 20.0, "mems", []),
     ]
-    batch.append(busy({"kind": "sine", "amplitude": 0.03, "start": 0.5}, observer="threshold"))
-    batch.append(busy(observer="threshold"))
+    batch = []
+    for seed, (factor, bandwidth, grade, faults) in enumerate(values):
+        plant = {"motor_lag": True, "inertia_factor": factor, "motor_bandwidth": bandwidth}
+        changes = {("plant",): plant, ("sensors",): {"grade": grade, "delay": 2}}
+        document = busy(*faults, observer="threshold").document.replaced(changes, "test")
+        batch.append(with_seed(build_scenario(document), seed))
     flights = [batch_flight(scenario) for scenario in batch]
     assert len({flight.structure for flight in with_common_faults(flights)}) == 1
     together = zip(fly_all(flights), JaxEngine(lanes=3).fly(flights), batch, strict=True)
@@ -234,7 +221,8 @@ print(json.dumps(flight_record(outcome)))
 """
 
 
-@pytest.mark.parametrize("observer", ["sliding_mode", pytest.param("supervised", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("observer", ["sliding_mode", "supervised"])
 def test_single_precision_is_near_double(observer):
     """In a process of its own, as one process has one precision."""
     scenario = busy(BIAS, observer=observer)

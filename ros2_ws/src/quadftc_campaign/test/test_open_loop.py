@@ -147,7 +147,7 @@ def assert_same_rows(rows, others):
                 assert value == other[name] or isinstance(value, list), name
 
 
-@pytest.mark.parametrize("observer", ["threshold", "supervised"])
+@pytest.mark.parametrize("observer", ["threshold", pytest.param("supervised", marks=pytest.mark.thorough)])
 def test_a_campaign_in_c_says_what_one_in_numpy_says(tmp_path, observer):
     assert_same_rows(rows_with(tmp_path, observer), rows_with(tmp_path, observer, "numpy"))
 
