@@ -44,7 +44,7 @@ from quadftc_sitl.truth import MICROSECOND, shifted
 
 LOOK, TO_BE_FOUND = 0.01, 1.0  # s; between two looks at services and clock; for other vehicles in the domain
 BEHIND = 0.1  # s; what is more behind real time is not caught up
-TOLD = 3  # of the autopilot's last warnings, in /diagnostics
+TOLD = 5  # of the autopilot's last warnings, in /diagnostics
 SPOKEN = ("mode", "lane", "disarmed")  # events that are told though they alarm nobody
 
 
@@ -171,9 +171,9 @@ class LiveFlight:
         """Publish a sample."""
         self._node.show(shown, self._physics)
 
-    def tell_loss(self, words: str) -> None:
-        """Tell the operator how the vehicle was lost."""
-        self._say(f"the vehicle is lost: {words}")
+    def tell(self, words: str) -> None:
+        """Tell the operator what has happened now."""
+        self._say(words)
 
     def pace(self) -> None:
         """Serve the node, and wait until it is time for the next sample; before arming there is no wait.

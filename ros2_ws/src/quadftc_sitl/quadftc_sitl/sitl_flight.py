@@ -160,7 +160,7 @@ class Flight:
         if self._fate.step(shown.emission.flight, wanted) and pilot.lost is None:
             pilot.lost = now
             if self.live is not None:
-                self.live.tell_loss(self._fate.words)
+                self.live.tell(f"the vehicle is lost: {self._fate.words}")
 
     def _guard(self) -> None:
         """Let the guardian hear what the observer has said of a vehicle that flies."""
@@ -170,6 +170,8 @@ class Flight:
             decision = self._guardian.step(report, pilot.journal.mode_name)
             for each in self._guardian.decisions[before:]:
                 self._recorder.tell(report.stamp_ns, "guardian", each.words)
+                if self.live is not None:
+                    self.live.tell(f"guardian: {each.words}")
             if decision is not None:
                 pilot.obey(decision)
         self._heard = len(reports)
