@@ -29,8 +29,11 @@ class Server(Protocol):
     port: int
     strangers: int  # packets from elsewhere
 
-    def wait(self, firmware: Firmware) -> list[bytes]:
-        """Return what has come; `SitlError` if the firmware has ended or hangs."""
+    def wait(self, firmware: Firmware, spoke: float) -> list[bytes]:
+        """Return what has come; `SitlError` if the firmware has ended or hangs.
+
+        ``spoke``: when it said something over MAVLink, by the monotonic clock [s].
+        """
         ...
 
     def take(self, patience: float) -> list[bytes]:

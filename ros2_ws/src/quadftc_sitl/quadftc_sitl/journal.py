@@ -71,6 +71,7 @@ class Journal:
         self._health: int | None = None
         self._estimator = 0
         self._chunks: dict[tuple[int, int], str] = {}  # parts of long texts
+        self._severity = 0  # of the last part
 
     def hear(self, message: Any) -> None:
         """Note a message."""
@@ -129,9 +130,13 @@ class Journal:
             words = self._chunks.pop(key, "") + words
             if len(message.text) == 50 and "\0" not in message.text:
                 self._chunks[key] = words
+                self._severity = message.severity
                 return
+        self._say(words, message.severity)
+
+    def _say(self, words: str, severity: int) -> None:
         why_not_armed = words.startswith(self.REFUSALS) and not self.armed
-        serious = message.severity <= SERIOUS and not why_not_armed
+        serious = severity <= SERIOUS and not why_not_armed
         self._note("lane" if LANE in words else "text", words, serious)
 
     def _on_sys_status(self, message: Any) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
+import time
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -36,6 +37,7 @@ class MavlinkLink:
         self._mavlink.robust_parsing = True
         self.target = (1, 1)  # system and component of the autopilot
         self.strangers = 0  # packets from elsewhere
+        self.spoke = 0.0  # when the autopilot did last, by the monotonic clock [s]
 
     @property
     def port(self) -> int:
@@ -63,6 +65,7 @@ class MavlinkLink:
                 if sender != self._peer:
                     self.strangers += 1
                     continue
+                self.spoke = time.monotonic()
                 parsed: Any = self._mavlink.parse_buffer(data) or []
                 found += [each for each in parsed if each.get_type() != "BAD_DATA"]
         return found

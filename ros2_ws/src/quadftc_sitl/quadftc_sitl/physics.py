@@ -177,7 +177,7 @@ class PhysicsSocket:
         """Close the socket."""
         self._socket.close()
 
-    def wait(self, firmware: Firmware) -> list[bytes]:
+    def wait(self, firmware: Firmware, spoke: float = 0.0) -> list[bytes]:
         """Return the packets that have come; `SitlError` if the firmware has ended or hangs."""
         for _ in range(int(PATIENCE / LOOK)):
             if packets := self.take(LOOK):

@@ -159,9 +159,14 @@ class Pilot(Commander):
             accepted = answer == dialect.MAV_RESULT_ACCEPTED
             yield from self._until(lambda: self.journal.armed, 3.0 if accepted else RETRY)
         if not self.journal.armed:
+            yield from self._ask_why()
             said = "; ".join(self.journal.refusals(since)) or f"MAV_RESULT {answer}"
             raise SitlError(f"arming refused: {said}")
         self.journal.may_disarm = False
+
+    def _ask_why(self) -> Steps:
+        """Have it say why it does not arm, if it has not."""
+        yield from ()
 
     def _climb(self) -> Steps:
         """Climb to where the trajectories begin, and settle there."""

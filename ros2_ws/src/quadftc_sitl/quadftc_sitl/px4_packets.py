@@ -150,8 +150,11 @@ class PX4Server:
         if self._peer is not None:
             self._peer.close()
 
-    def wait(self, firmware: Firmware) -> list[bytes]:
-        """Return PX4's answer, empty if there is none; `SitlError` if the firmware has ended or hangs."""
+    def wait(self, firmware: Firmware, spoke: float) -> list[bytes]:
+        """Return PX4's answer, empty if there is none; `SitlError` if the firmware has ended or hangs.
+
+        Without a gyro PX4 answers no more, and goes on: ``spoke`` says when it did over MAVLink [s].
+        """
         if self._peer is None:
             self._connect(firmware)
             return [b""]
@@ -160,7 +163,7 @@ class PX4Server:
             return packets
         if self._heard or self._is_time():
             firmware.check_alive()
-        if self._heard and time.monotonic() > self._heard + PATIENCE:
+        if self._heard and time.monotonic() > max(self._heard, spoke) + PATIENCE:
             words = f"hangs: it has sent nothing more for {PATIENCE:g} s"
             raise SitlError(f"{firmware.arguments[0]}: {words}{firmware.last_words()}")
         return [b""]

@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from quadftc_sitl.commander import RESULTS, Steps
+from quadftc_sitl.commander import RESULTS, RETRY, Steps
 from quadftc_sitl.firmware import SitlError
 from quadftc_sitl.journal import Journal
 from quadftc_sitl.pilot import MESSAGES as COMMON
@@ -45,6 +45,14 @@ class PX4Journal(Journal):
     MODES = {main << 16 | sub << 24: name for (main, sub), name in MODES.items()}
     BEFORE: Mapping[str, str] = {"LOITER": "MISSION"}
     REFUSALS = ("Preflight Fail:", "Arming denied:")
+
+    def hear(self, message: Any) -> None:
+        """Note a message; a long text ends where another message comes."""
+        if message.get_type() != "STATUSTEXT":
+            for words in self._chunks.values():
+                self._say(words, self._severity)
+            self._chunks.clear()
+        super().hear(message)
 
     def mode_parameters(self, name: str) -> tuple[float, ...]:
         """Return the parameters of MAV_CMD_DO_SET_MODE behind its flags: main and sub mode."""
@@ -85,6 +93,11 @@ class PX4Pilot(Pilot):
         self._errands.append(self._stream())
         yield from self._pause(STREAMED)
         yield from self._set_mode(self.FOLLOWS)
+
+    def _ask_why(self) -> Steps:
+        """Have it say what its checks find."""
+        yield from self._command(dialect.MAV_CMD_RUN_PREARM_CHECKS)
+        yield from self._pause(RETRY)
 
     def _take_off(self, height: float) -> Steps:
         """Climb by the setpoints."""

@@ -121,7 +121,7 @@ class Flight:
         """Fly to the end; a `SitlError` says why that cannot be done."""
         look = time.monotonic()
         while not self.pilot.done:
-            self._answer(self._server.wait(firmware))
+            self._answer(self._server.wait(firmware, self._link.spoke))
             if self.live is not None:
                 self.live.pace()
             if time.monotonic() > look:
