@@ -47,12 +47,15 @@ class Commander:
             decision.answer = f"{RESULTS.get(answer, 'no answer')}, mode {self.journal.mode_name}"
 
     def _ask_mode(self, name: str) -> Iterator[Any]:
-        """Ask for a mode; return the MAV_RESULT."""
-        self.journal.asked_mode = name
+        """Ask for a mode; return the MAV_RESULT. One that is refused has not been asked for."""
+        before, self.journal.asked_mode = self.journal.asked_mode, name
         self.journal.may_disarm |= name in COMES_DOWN
         flags = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
         mode = self.journal.mode_parameters(name)
-        return (yield from self._command(dialect.MAV_CMD_DO_SET_MODE, flags, *mode))
+        answer = yield from self._command(dialect.MAV_CMD_DO_SET_MODE, flags, *mode)
+        if answer not in (None, dialect.MAV_RESULT_ACCEPTED):
+            self.journal.asked_mode = before
+        return answer
 
     def _command(self, number: int, *parameters: float) -> Iterator[Any]:
         """Send a command until it is answered; return its MAV_RESULT, None without an answer."""
