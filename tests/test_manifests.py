@@ -24,7 +24,6 @@ ROSDEP = {"numpy": "python3-numpy", "scipy": "python3-scipy", "yaml": "python3-y
 DISTRIBUTIONS = {
     "pydantic_core": "pydantic",
     "ruamel": "ruamel.yaml",
-    "sklearn": "scikit-learn",
     "typing_extensions": "pydantic",  # it needs it
     "yaml": "pyyaml",
 }

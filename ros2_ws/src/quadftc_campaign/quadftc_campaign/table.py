@@ -32,7 +32,7 @@ Rows = list[Row]
 ORDER = ("flight", "variant", "fault")
 FLAGS = (
     *("finite", "lost", "fault.named", "fault.already_named", "fault.detected", "fault.already_declared"),
-    *("fault.recovered", "fault.above_threshold"),
+    *("fault.recovered"),
 )
 WHOLE = ("flight", "seed", "fault")  # columns of whole numbers
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)

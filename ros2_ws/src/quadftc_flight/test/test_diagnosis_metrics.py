@@ -247,20 +247,6 @@ def test_band_of_a_mean_square_is_that_of_the_chi_square_distribution():
     assert consistency_band(10.0) == pytest.approx((0.3247, 2.0483), rel=1e-3)
 
 
-def test_observer_without_states_is_judged_by_the_size_of_its_estimate():
-    flight = flight_of()
-    estimate = np.zeros((len(flight), 3))
-    estimate[1004:2000, 0] = 2.0 * DEG
-    estimate[:400, 2] = 0.4 * DEG
-    found = diagnosis_metrics(dataclasses.replace(flight, fault_estimate=estimate), [ROLL])
-    assert (found["missed"], found["delay_max_s"]["all"]) == (1, None)
-    by_estimate = found["by_estimate"]
-    assert by_estimate["threshold_deg"] == pytest.approx(0.3)
-    assert (by_estimate["missed"], by_estimate["already_above"]) == (0, 0)
-    assert by_estimate["delay_max_s"]["step"] == pytest.approx(0.04)
-    assert by_estimate["false_alarm_share"] == pytest.approx({"roll": 0.0, "pitch": 0.0, "yaw": 0.1})
-
-
 def test_fault_that_leaves_the_reading_as_it_is_need_not_be_found():
     dropout = FaultEvent("roll", "dropout", 10.0, 20.0)
     blamed = flight_of((dropout,), {"pitch": [(10.0, 20.0, FAULTY)]})

@@ -1,5 +1,5 @@
 # pyright: basic
-"""Curves of all variants of a campaign in one figure: distributions, receiver operating characteristics."""
+"""Curves of all variants of a campaign in one figure: distributions."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from quadftc_flight.diagnosis_metrics.roc import Roc, roc
-from quadftc_report.campaign_results import Floats, Results, Side, known, numbers
+from quadftc_report.campaign_results import Floats, Results, Side
 from quadftc_report.draw_plotly import TOP, axis, empty_figure, line_look, spec_of
 from quadftc_report.wording import plain, short
 
@@ -26,7 +25,6 @@ RATIO = 8.0  # between the largest and the smallest value, from which on a scale
 DECADES = 3.5  # longest logarithmic scale with ticks at 2 and 5
 escape = functools.partial(html.escape, quote=False)  # so that Plotly finds no markup
 SHARES = {"range": [-0.02, 1.03], "tickformat": ".0%"}  # axis
-RATES = "finds %{y:.1%} at %{x:.1%} false alarms<extra></extra>"
 
 
 class Picture(NamedTuple):
@@ -70,29 +68,6 @@ def ecdf(values: Floats) -> Ecdf:
 def _thin(count: int) -> NDArray[np.intp]:
     """Which of so many points of a curve are drawn."""
     return np.unique(np.rint(np.linspace(0, count - 1, min(count, POINTS))).astype(np.intp))
-
-
-Point = tuple[float, float]  # share of the healthy axes that got a false alarm, of the faults found
-
-
-def detector_of(side: Side) -> tuple[Roc | None, Point | None]:
-    """Judge how well a variant tells faulty axes from healthy ones: by estimate, and by its own detector.
-
-    One score for each fault, the largest estimate while it lasts; one for each axis of each flight, the
-    largest estimate while that axis is healthy. A level finds a fault, or gives an axis a false alarm, if the
-    score reaches it. Such shares count faults and axes, not samples. None: there is nothing to compare, or
-    the variant never estimates, never declares anything.
-    """
-    peaks = known(numbers(side.faults, "fault.estimate_peak_deg"))
-    calm = known(side.by_axis("healthy_estimate_max_deg"))
-    scores = np.concatenate([peaks, calm])
-    useful = len(peaks) > 0 and len(calm) > 0 and bool(np.any(scores > 0.0))
-    curve = roc(scores, np.arange(len(scores)) < len(peaks)) if useful else None
-    found = known(numbers(side.faults, "fault.detected"))
-    healthy, counts = (side.by_axis(name) for name in ("healthy_time_s", "false_alarms"))
-    alarms = known(counts[healthy > 0.0])
-    says = len(found) and len(alarms) and (np.any(found) or np.any(alarms))
-    return curve, (float(np.mean(alarms > 0.0)), float(np.mean(found))) if says else None
 
 
 def distributions(results: Results) -> Iterator[Picture]:
@@ -140,51 +115,6 @@ def _distribution(
         )
     caption, key = f"Share of the {thing}s whose {value} is at most so much. {note}", f"ecdf-{key}"
     yield Picture(key, f"{value[0].upper()}{value[1:]}", caption, {"": spec_of(drawing, key)})
-
-
-def characteristics(results: Results) -> Iterator[Picture]:
-    """Yield the receiver operating characteristics, with the points of the variants' own detectors."""
-    judged = ((side, *detector_of(side)) for side in results.sides)
-    shown = [(side, curve, point) for side, curve, point in judged if curve is not None]
-    if not shown:
-        return
-    titles = "share of healthy axes with a false alarm", "share of faults found"
-    drawing = variant_figure(len(shown), titles).update_layout(xaxis=SHARES, yaxis=SHARES)
-    diagonal = {"name": "guessing", "hoverinfo": "skip", "showlegend": False}
-    drawing.add_scatter(x=[0, 1], y=[0, 1], **diagonal, **line_look("limit", 0))
-    for side, curve, point in shown:
-        _add_characteristic(drawing, side, curve, point)
-    caption = (
-        "If an estimate of some size were an alarm: the share of the faults found over the share of the"
-        " healthy axes alarmed, for every size. AUC: area under the curve; dotted: guessing."
-        " Dots: the observers' own detectors."
-    )
-    yield Picture("roc", "Detection by the size of the estimate", caption, {"": spec_of(drawing, "roc")})
-
-
-def _add_characteristic(drawing: go.Figure, side: Side, curve: Roc, point: Point | None) -> None:
-    name, look, chosen = escape(side.name), line_look(side.role, side.rank), _thin(len(curve.threshold))
-    area = "1" if curve.area == 1.0 else f"{min(curve.area, 0.9999):.4g}"  # 1 only if it is
-    drawing.add_scatter(
-        x=curve.false_alarm_share[chosen].astype(np.float32),
-        y=curve.detection_probability[chosen].astype(np.float32),
-        customdata=[short(level) for level in curve.threshold[chosen].tolist()],
-        name=f"{name} (AUC {area})",
-        legendgroup=name,
-        hovertemplate=f"{name}, from %{{customdata}} deg on: {RATES}",
-        **look,
-    )
-    if point is not None:
-        alone = {"mode": "markers", "legendgroup": name, "showlegend": False, "cliponaxis": False}
-        drawing.add_scatter(
-            x=[point[0]],
-            y=[point[1]],
-            name=f"{name}, its own detector",
-            marker={"color": look["line"]["color"], "size": 10, "line": {"width": 1.5, "color": "#fff"}},
-            hovertemplate=f"{name}, its own detector: {RATES}",
-            **alone,
-            zorder=2000,
-        )
 
 
 def variant_figure(entries: int, titles: tuple[str, str]) -> go.Figure:

@@ -15,7 +15,7 @@ import polars as pl
 
 from quadftc_campaign.distributions import Distribution, unit_of
 from quadftc_model.samples import AXES
-from quadftc_report.campaign_curves import characteristics, distributions
+from quadftc_report.campaign_curves import distributions
 from quadftc_report.campaign_map import draw_maps
 from quadftc_report.campaign_results import Floats, Results, Side, known, numbers
 from quadftc_report.confusion import COLUMNS, ROTOR_COLUMNS, confusion_of
@@ -59,7 +59,7 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
     that fly a flight again.
     """
     campaign, sides = results.campaign, results.sides
-    kinds = {"Distributions": distributions, "Map": draw_maps, "Detection": characteristics}
+    kinds = {"Distributions": distributions, "Map": draw_maps}
     pictures = {title: list(draw(results)) for title, draw in kinds.items()}
     worst = (
         ("Largest tracking errors", ("worst axis", "tracking RMSE [deg]"), map(_worst_flights, sides)),

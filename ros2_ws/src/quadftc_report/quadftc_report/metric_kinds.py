@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, cast
 
 import yaml
 
-from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
 from quadftc_flight.metrics import entries
 from quadftc_model.samples import AXES
 from quadftc_report import DATA
@@ -19,7 +18,6 @@ DETAILS = (
     "Diagnosis of",
     "Naming of",
 )  # how the sections of single faults and kinds of faults begin
-BY_SIZE = f"Diagnosis of faults by an estimate above {ESTIMATE_THRESHOLD_DEG:g} deg"
 TINY = 1e-12  # in any unit; a smaller number is the rounding of a zero
 SCALES = {"%": 100.0, "ms": 1e3}  # of units that are not those of the summary
 
@@ -105,14 +103,11 @@ def describe(path: str) -> tuple[str, Kind]:
         return _look_up(words[1] if part == "fault_windows" else part)
     if words[0] == "events":
         return _look_up(words[2])
-    by_estimate = words[0] == "by_estimate"
-    full, *rest = words[1:] if by_estimate else words
+    full, *rest = words
     section, kind = _look_up(full.removeprefix("total_"))
     if full.startswith("total_"):
         kind = kind._replace(label=f"{kind.label}, all axes")
     faults = [word for word in rest if word != "all"]  # by kind
-    if by_estimate:
-        return BY_SIZE, kind._replace(label=", ".join([kind.label, *faults]))
     return f"Diagnosis of faults by kind: {faults[0]}" if faults else section, kind
 
 

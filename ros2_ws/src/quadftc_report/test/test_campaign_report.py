@@ -11,7 +11,7 @@ import pytest
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_model.samples import AXES
-from quadftc_report.campaign_curves import POINTS, detector_of, ecdf
+from quadftc_report.campaign_curves import POINTS, ecdf
 from quadftc_report.campaign_map import FEWEST, bin_axis, maps_of
 from quadftc_report.campaign_results import results_of
 from quadftc_report.report import ReportError, write_campaign_report
@@ -53,14 +53,13 @@ def row(flight, variant, observer, **values):
     found |= {f"{name}.{axis}": 0.5 for name in PER_AXIS for axis in AXES}
     found |= {f"healthy_time_s.{axis}": 3600.0 for axis in AXES}
     found |= {f"false_alarms.{axis}": 0.0 for axis in AXES}
-    found |= {f"healthy_estimate_max_deg.{axis}": 0.0 for axis in AXES}
     return found | {"finite": True, "fault": None} | values
 
 
 def fault(kind="step", **values):
     """The columns of a fault."""
     found = {"axis": "roll", "kind": kind, "start": 1.0, "stop": 1.5, "detected": True}
-    found |= {"detection_delay_s": 0.1, "estimate_rmse_deg": 0.2, "estimate_peak_deg": 2.0}
+    found |= {"detection_delay_s": 0.1, "estimate_rmse_deg": 0.2}
     found |= {"already_declared": False, "tracking_rmse_deg": 0.3}
     return {"fault": 0, **{f"fault.{name}": value for name, value in (found | values).items()}}
 
@@ -72,7 +71,7 @@ def flown(count=12):
         drawn = {VALUE: 1.0 + 4.0 * flight / count, RATE: (100.0, 50.0)[flight % 2]}
         error = 0.1 * (flight + 1)
         rows.append(row(flight, "watched", "sliding_mode", **drawn, **fault(estimate_rmse_deg=error)))
-        missed = fault(detected=False, detection_delay_s=None, estimate_rmse_deg=3.0, estimate_peak_deg=0.0)
+        missed = fault(detected=False, detection_delay_s=None, estimate_rmse_deg=3.0)
         rows.append(row(flight, "plain", "none", **drawn, **missed, **{"tracking_rmse_deg.yaw": 2.0}))
     return rows
 
@@ -132,28 +131,6 @@ def test_distribution_of_many_values_keeps_few_points_and_both_ends():
     np.testing.assert_allclose(found.shares, found.values / 100_000, atol=1e-12)
 
 
-def test_detection_by_level_against_hand_computed_shares(load):
-    """Faults score 4 and 2, healthy axes 3, 1 and four times 0: 11 of 12 pairs are in order."""
-    calm = [{"roll": 3.0, "pitch": 1.0, "yaw": 0.0}, dict.fromkeys(AXES, 0.0)]
-    rows = [
-        row(
-            flight,
-            "watched",
-            "sliding_mode",
-            **fault(estimate_peak_deg=peak, detected=peak > 3.0),
-            **{f"healthy_estimate_max_deg.{axis}": value for axis, value in scores.items()},
-            **{"false_alarms.roll": float(flight)},
-        )
-        for flight, (peak, scores) in enumerate(zip((4.0, 2.0), calm, strict=True))
-    ]
-    campaign, frame = load(flights=2), table_of(rows)
-    curve, point = detector_of(results_of(campaign, frame, summary_of(campaign, frame)).sides[0])
-    corners = zip(curve.threshold, curve.false_alarm_share, curve.detection_probability, strict=True)
-    assert (4.0, 0.0, 0.5) in [tuple(corner) for corner in corners]
-    assert curve.area == pytest.approx(11 / 12)
-    assert point == (1 / 6, 1 / 2)
-
-
 def test_map_over_two_lists_against_hand_computed_medians(load):
     vary = f"vary: {{{VALUE}: {{choice: [1 deg, 2 deg]}}, {RATE}: {{grid: [100 Hz, 50 Hz]}}}}"
     campaign = load(vary, flights=20)
@@ -193,9 +170,7 @@ def test_page_tells_every_variant_and_how_to_fly_the_worst_again(load, tmp_path)
     assert "a median RMSE of 2 deg, 95 % 2 deg; has no fault observer." in page.text
     names = {trace["name"] for trace in page.specs["spec-ecdf-tracking"]["data"]}
     assert names == {"watched", "plain"}
-    assert {"spec-ecdf-estimate", "spec-ecdf-delay", "spec-roc", "spec-map-0", "spec-map-1"} <= set(
-        page.specs
-    )
+    assert {"spec-ecdf-estimate", "spec-ecdf-delay", "spec-map-0", "spec-map-1"} <= set(page.specs)
     again = f"scripts/quadftc campaign 'my camp.yaml' --out {tmp_path} --flight 23 --variant watched"
     assert again in page.commands
     assert "24 flights of each variant" in page.text
@@ -219,7 +194,7 @@ def test_page_of_flights_without_faults_and_without_draws(load, tmp_path, count)
 
 
 def test_page_of_one_flight_with_a_fault_that_nothing_is_known_of(load, tmp_path):
-    names = ("detected", "detection_delay_s", "estimate_rmse_deg", "estimate_peak_deg", "tracking_rmse_deg")
+    names = ("detected", "detection_delay_s", "estimate_rmse_deg", "tracking_rmse_deg")
     unknown = fault(**dict.fromkeys(names))
     rows = [row(0, "watched", "sliding_mode", **unknown, **{VALUE: 2.0, RATE: 100.0})]
     _, page = written(load(VARY, flights=1), rows, tmp_path)

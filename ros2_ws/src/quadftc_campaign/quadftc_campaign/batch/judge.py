@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
+from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_flight.diagnosis_metrics.which_rotor import SIZE_TIME, name_rotors, rotor_confusion
 from quadftc_flight.diagnosis_metrics.which_sensor import UNSEEN, Naming, confusion, name_sensors
 from quadftc_flight.fault_schedule import SENSORS, FaultEvent
@@ -23,8 +23,6 @@ from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, SUSPECT, UNUSABLE, RotorCondition
 from quadftc_sim.delay_line import fill_line, shift_line
 from quadftc_sim.rotor_fault import ROTOR, healthy_rotors, true_effectiveness
-
-ABOVE = float(np.radians(ESTIMATE_THRESHOLD_DEG))  # rad
 
 Arrays = dict[str, Array]
 Parts = tuple[Arrays, Arrays, Arrays, Arrays, Arrays]  # what a sample adds to each part of a tally
@@ -169,10 +167,8 @@ class Largest(NamedTuple):
 
     tracking: Array  # rad
     estimate: Array  # rad
-    score: Array  # of the estimate of a healthy axis [rad]
     error: Array  # () rad
     event_error: Array  # rad
-    event_score: Array  # rad
     fault_error: Array  # rad
     position: Array | None = None  # () m²
     rotor_error_max: Array | None = None  # 1
@@ -184,7 +180,6 @@ class Smallest(NamedTuple):
 
     upright: Array  # () cosine of the angle to the vertical
     event_detected: Array
-    event_above: Array
     event_trusted: Array
     fault_named_at: Array
     fault_alarm_at: Array
@@ -199,7 +194,6 @@ class Last(NamedTuple):
     declared: Array  # (3,)
     named: Array  # (sensors, 3)
     event_already: Array  # declared before the fault
-    event_already_above: Array  # the estimate is as large as a fault before it
     fault_already: Array  # named before the fault
     rotors_named: Array | None = None  # (n,)
     rotor_already: Array | None = None  # named before the fault
@@ -256,7 +250,6 @@ class Judge:
             declared=already[0],
             named=named,
             event_already=already,
-            event_already_above=already,
             fault_already=none,
             rotors_named=None if never is None else never[0],
             rotor_already=never,
@@ -308,9 +301,9 @@ def _tally_attitude(inputs: JudgeInputs, motion: Motion, schedule: Schedule, las
     angles, fault = motion.angles, inputs.faults.attitude
     # what the diagnosis says, and how far it is off where the true fault is finite
     declared, trusted = (state == FAULTY) | (state == RECOVERING), (state == HEALTHY) | (state == SUSPECT)
-    size, known = xp.abs(inputs.estimate), there & xp.isfinite(fault)
+    known = there & xp.isfinite(fault)
     error = xp.where(known, wrap(inputs.estimate - fault), 0.0)
-    above, tracking, cosine = size >= ABOVE, xp.abs(wrap(angles - inputs.reference)), xp.cos(angles)
+    tracking, cosine = xp.abs(wrap(angles - inputs.reference)), xp.cos(angles)
     # which faults act, have ended with no other begun, and are still to come; healthy: none acts or just did
     inside, over = (schedule.start <= time) & (time < schedule.stop), schedule.stop <= time
     event, after, early = there & inside, there & over & (time < schedule.following), time < schedule.start
@@ -345,14 +338,11 @@ def _tally_attitude(inputs: JudgeInputs, motion: Motion, schedule: Schedule, las
     largest = {
         "tracking": xp.where(there, tracking, 0.0),
         "estimate": xp.abs(error),
-        "score": xp.where(healthy, size, 0.0),
         "event_error": xp.where(event_known, xp.abs(error), 0.0),
-        "event_score": xp.where(event, size, 0.0),
     }
     smallest = {
         "upright": xp.where(inputs.left, cosine[..., 0] * cosine[..., 1], 1.0),
         "event_detected": xp.where(event & declared, time, np.inf),
-        "event_above": xp.where(event & above, time, np.inf),
         "event_trusted": xp.where(after & trusted, time, np.inf),
     }
     new_last = {
@@ -360,7 +350,6 @@ def _tally_attitude(inputs: JudgeInputs, motion: Motion, schedule: Schedule, las
         "begun": last.begun | there,
         "declared": xp.where(there, declared, last.declared),
         "event_already": xp.where(there & early, declared, last.event_already),
-        "event_already_above": xp.where(there & early, above, last.event_already_above),
     }
     return sums, ever, largest, smallest, new_last
 

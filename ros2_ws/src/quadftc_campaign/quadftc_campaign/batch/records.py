@@ -58,7 +58,6 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
         "healthy_time_s": sums["healthy"] * outcome.period,
         "false_alarms": sums["alarms"],
         "false_alarm_time_s": sums["alarmed"] * outcome.period,
-        "healthy_estimate_max_deg": np.degrees(_if(sums["healthy"], marks["score"])),
     }
     of_axes |= {
         "attitude_error_rms_deg": np.degrees(np.sqrt(_mean(sums["tracking"].sum(), sums["delivered"]))),
@@ -196,8 +195,7 @@ def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> d
     known, stated = sums["event_known"], sums["event_delivered"]
     sized = marks["event_sized"] and stated > 0.0
     detected = math.isfinite(marks["event_detected"]) if sized else None
-    above = math.isfinite(marks["event_above"]) if sized else None
-    already, already_above = marks["event_already"], marks["event_already_above"]
+    already = marks["event_already"]
     trusted = math.isfinite(marks["event_trusted"])
 
     def delay(name: str, since: float, there: bool | None) -> float | None:
@@ -211,12 +209,9 @@ def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> d
         "declared_share": sums["event_declared"] / stated if stated else None,
         "recovered": trusted if detected else None,
         "recovery_delay_s": delay("event_trusted", event.stop, detected and trusted),
-        "above_threshold": above,
-        "above_threshold_delay_s": delay("event_above", event.start, above and not already_above),
         "estimate_rmse_deg": math.degrees(math.sqrt(sums["event_squares"] / known)) if known else None,
         "estimate_bias_deg": math.degrees(sums["event_error"] / known) if known else None,
         "estimate_max_deg": math.degrees(marks["event_error"]) if known else None,
-        "estimate_peak_deg": math.degrees(marks["event_score"]) if stated else None,
         "tracking_rmse_deg": math.degrees(math.sqrt(sums["event_tracking"] / stated)) if stated else None,
     }
 

@@ -22,11 +22,9 @@ from quadftc_flight.diagnosis_metrics.columns import (
 Record = Mapping[str, Any]
 PerAxis = dict[str, Any]
 
-ESTIMATE_THRESHOLD_DEG = 0.3  # deg; an estimate of this size says fault: 3 sigma of the attitude of mems
 ALL = "all"  # beside the kinds: faults of every kind
 SECONDS_PER_HOUR = 3600.0
 ALARMS = ("healthy_time_s", "false_alarms", "false_alarm_time_s", "late_recovery_time_s")
-ESTIMATE_ALARMS = ("healthy_time_s", "false_alarm_time_s")
 
 _FIGURES: dict[str, tuple[str, Figure]] = {
     "delay_median_s": ("detection_delay_s", median),
@@ -45,10 +43,6 @@ _FIGURES: dict[str, tuple[str, Figure]] = {
     "coverage_2_sigma": ("coverage_2_sigma", mean),
     "nees": ("nees", mean),
 }  # metric by kind -> what it is made of, and how
-_ESTIMATE_FIGURES: dict[str, tuple[str, Figure]] = {
-    "delay_median_s": ("above_threshold_delay_s", median),
-    "delay_max_s": ("above_threshold_delay_s", largest),
-}
 
 
 def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
@@ -57,7 +51,7 @@ def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
     The band of the mean NEES takes each fault for one independent sample: the error made in telling a fault
     from the attitude stays in the estimate until the sensor is trusted again.
     """
-    groups = _groups(records, "detected")
+    groups = _groups(records)
     judged, by_kind = groups[ALL], {kind: members for kind, members in groups.items() if kind != ALL}
     nees_counts = {kind: len(_values(members, "nees")) for kind, members in groups.items()}
     bands = {kind: consistency_band(n) if n else (None, None) for kind, n in nees_counts.items()}
@@ -68,20 +62,9 @@ def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
         "not_recovered": _count(judged, "recovered", False),
         "fault_count_by_kind": {kind: len(members) for kind, members in by_kind.items()},
         "missed_by_kind": {kind: _count(members, "detected", False) for kind, members in by_kind.items()},
-        **_figures(groups, _FIGURES),
+        **_figures(groups),
         "nees_low": {kind: low for kind, (low, _) in bands.items()},
         "nees_high": {kind: high for kind, (_, high) in bands.items()},
-    }
-
-
-def estimate_fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
-    """Sum up what the size of the estimate, without any state, says of faults."""
-    groups = _groups(records, "above_threshold")
-    return {
-        "threshold_deg": ESTIMATE_THRESHOLD_DEG,
-        "missed": _count(groups[ALL], "above_threshold", False),
-        "already_above": _count(groups[ALL], "above_threshold_already", True),
-        **_figures(groups, _ESTIMATE_FIGURES),
     }
 
 
@@ -114,29 +97,25 @@ def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
     """
     flights = list(diagnoses)
     records = [record for flight in flights for record in flight["events"]]
-    sizes = _sums([flight["by_estimate"] for flight in flights], ESTIMATE_ALARMS)
     return {
         "flights": len(flights),
         **fault_metrics(records),
         **with_shares(_sums(flights, ALARMS)),
         "longest_false_alarm_s": _longest([flight.get("longest_false_alarm_s") or {} for flight in flights]),
-        "by_estimate": {**estimate_fault_metrics(records), **with_shares(sizes)},
     }
 
 
-def _groups(records: Sequence[Record], verdict: str) -> dict[str, list[Record]]:
-    """Return the records that have a verdict: all, and by kind; a kind without any is there, too."""
-    judged = [record for record in records if record[verdict] is not None]
+def _groups(records: Sequence[Record]) -> dict[str, list[Record]]:
+    """Return the records that are judged: all, and by kind; a kind without any is there, too."""
+    judged = [record for record in records if record["detected"] is not None]
     kinds = dict.fromkeys(str(record["kind"]) for record in records)
     return {ALL: judged, **{kind: [each for each in judged if each["kind"] == kind] for kind in kinds}}
 
 
-def _figures(
-    groups: Mapping[str, Sequence[Record]], figures: Mapping[str, tuple[str, Figure]]
-) -> dict[str, dict[str, float | None]]:
+def _figures(groups: Mapping[str, Sequence[Record]]) -> dict[str, dict[str, float | None]]:
     return {
         name: {kind: figure(_values(members, field)) for kind, members in groups.items()}
-        for name, (field, figure) in figures.items()
+        for name, (field, figure) in _FIGURES.items()
     }
 
 

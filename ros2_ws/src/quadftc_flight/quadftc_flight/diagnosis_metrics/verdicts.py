@@ -25,9 +25,6 @@ from quadftc_flight.diagnosis_metrics.columns import (
 )
 from quadftc_flight.diagnosis_metrics.fault_statistics import (
     ALARMS,
-    ESTIMATE_ALARMS,
-    ESTIMATE_THRESHOLD_DEG,
-    estimate_fault_metrics,
     fault_metrics,
     with_shares,
 )
@@ -52,13 +49,6 @@ class Detection(NamedTuple):
     row: int | None = None  # of the first sample that says so; None: missed, or said already
 
 
-class Truth(NamedTuple):
-    """Which axes are faulty, and which are healthy; in the grace after a fault, neither."""
-
-    faulty: Bool[Mask, "n 3"]
-    healthy: Bool[Mask, "n 3"]
-
-
 def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str, Any]:
     """Judge the diagnosis of the attitude, ready for JSON; of one axis, no event overlaps another.
 
@@ -67,44 +57,34 @@ def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str,
     """
     columns, events = Columns(flight), attitude_events(events)
     records = [_judge_fault(columns, event, events) for event in events]
-    by_state, by_estimate = (
-        truth(columns, events, [record[verdict] is not None for record in records])
-        for verdict in ("detected", "above_threshold")
-    )
-    axes = range(len(AXES))
-    alarms = [_alarms(columns, by_state.healthy, axis) for axis in axes]
-    large = [_large_estimates(columns, by_estimate.healthy, axis) for axis in axes]
+    healthy = _healthy(columns, events)
+    alarms = [_alarms(columns, healthy, axis) for axis in range(len(AXES))]
     counts = np.sum(flight.fault_state == STARTING, axis=0), np.sum(columns.known, axis=0)
     shares = [int(part) / int(whole) if whole else None for part, whole in zip(*counts, strict=True)]
     return {
         **fault_metrics(records),
         **with_shares(_by_axis(ALARMS, alarms)),
         "longest_false_alarm_s": {
-            name: _longest_alarm(columns, by_state.healthy, axis) for axis, name in enumerate(AXES)
+            name: _longest_alarm(columns, healthy, axis) for axis, name in enumerate(AXES)
         },
-        "by_estimate": {**estimate_fault_metrics(records), **with_shares(_by_axis(ESTIMATE_ALARMS, large))},
         "starting_share": dict(zip(AXES, shares, strict=True)),
         "events": records,
     }
 
 
-def has_size(columns: Columns, event: FaultEvent) -> bool:
+def _has_size(columns: Columns, event: FaultEvent) -> bool:
     """Return whether a fault changes the reading; where the truth was not recorded, the schedule counts."""
     fault = columns.fault[:, AXES.index(event.axis)]
     inside = finite(fault[columns.rows(event.start, event.stop)])
     return bool(np.any(inside != 0.0)) if len(inside) else not np.isfinite(fault).any()
 
 
-def truth(columns: Columns, events: Sequence[FaultEvent], judged: Sequence[bool]) -> Truth:
-    """Divide the time of each axis; in an event that is not ``judged`` it is neither faulty nor healthy."""
-    faulty = np.zeros((len(columns.time), len(AXES)), np.bool_)
-    doubtful = np.zeros_like(faulty)
-    for event, counts in zip(events, judged, strict=True):
-        axis = AXES.index(event.axis)
-        doubtful[columns.rows(event.start, event.stop + GRACE_TIME), axis] = True
-        if counts:
-            faulty[columns.rows(event.start, event.stop), axis] = True
-    return Truth(faulty, ~faulty & ~doubtful)
+def _healthy(columns: Columns, events: Sequence[FaultEvent]) -> Bool[Mask, "n 3"]:
+    """Which axes are healthy: neither faulty nor in the grace after a fault."""
+    doubtful = np.zeros((len(columns.time), len(AXES)), np.bool_)
+    for event in events:
+        doubtful[columns.rows(event.start, event.stop + GRACE_TIME), AXES.index(event.axis)] = True
+    return ~doubtful
 
 
 def _judge_fault(columns: Columns, event: FaultEvent, events: Sequence[FaultEvent]) -> Record:
@@ -113,12 +93,9 @@ def _judge_fault(columns: Columns, event: FaultEvent, events: Sequence[FaultEven
     That is: the flight ends before, the state is not known, or the fault leaves the reading as it is.
     """
     axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
-    sized = has_size(columns, event)
+    sized = _has_size(columns, event)
     known, declared = columns.known[:, axis], columns.declared[:, axis]
-    estimate = columns.estimate[:, axis]
     by_state = _detect(known, declared, rows, sized)
-    above = np.abs(estimate) >= ESTIMATE_THRESHOLD_DEG  # false for NaN
-    by_estimate = _detect(np.isfinite(estimate), above, rows, sized)
     said = declared[rows][known[rows]]
     begins = int(said[0]) + int(np.sum(said[1:] & ~said[:-1])) if len(said) else None
     onset = None if by_state.row is None else number(columns.onset[by_state.row, axis] - event.start)
@@ -141,9 +118,6 @@ def _judge_fault(columns: Columns, event: FaultEvent, events: Sequence[FaultEven
         "recovered": trusted is not None if can_recover else None,
         "recovery_delay_s": _delay(columns, trusted, event.stop) if can_recover else None,
         "declared_after_s": number((still[-1] + 1) * columns.period) if len(still) else 0.0,
-        "above_threshold": by_estimate.detected,
-        "above_threshold_already": by_estimate.already,
-        "above_threshold_delay_s": _delay(columns, by_estimate.row, event.start),
         **_estimate_errors(columns, axis, rows),
         "tracking_rmse_deg": rms(columns.tracking[rows, axis]),
     }
@@ -213,12 +187,6 @@ def _longest_alarm(columns: Columns, is_healthy: Mask, axis: int) -> float | Non
     edges = np.flatnonzero(np.diff(np.concatenate([[False], wrong, [False]])))
     lengths = np.diff(edges)[::2]  # from each begin to its end
     return number(np.max(lengths, initial=0) * columns.period) if known.any() else None
-
-
-def _large_estimates(columns: Columns, is_healthy: Mask, axis: int) -> tuple[float | None, ...]:
-    """How long the estimate of an axis that is healthy is known, and as large as a fault."""
-    size = np.abs(finite(columns.estimate[is_healthy[:, axis], axis]))
-    return number(len(size) * columns.period), _seconds(columns, size >= ESTIMATE_THRESHOLD_DEG)
 
 
 def _by_axis(names: Sequence[str], values: Sequence[Sequence[Any]]) -> dict[str, Record]:
