@@ -34,7 +34,6 @@ from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.plan import FROM_GYRO
 from quadftc_tools.study.intervals import poisson_interval
-from quadftc_tools.study.league_flights import FLOWN, fly_log
 from quadftc_tools.study.league_logs import cut, read_healthy, read_labels
 from quadftc_tools.study.league_others import OTHERS_HEADINGS, other_rows
 from quadftc_tools.study.numbers import write_number
@@ -46,11 +45,9 @@ SEEN, CLOSE = 0.25, 0.05  # s; from the true onset to one that is named: of a de
 SAMPLES = 2.0  # of a slow sensor, by which an onset is dated no better
 REPEATS = 6  # of each case on each log: every axis, both signs
 VEHICLE = "crazyflie_2x"  # of observers, where the log says none
-SIMULATED = "simulation"
 SUITED = (
     "ROS 2 bag",
     "Crazyflie uSD",
-    SIMULATED,
 )  # for an observer: torque [N m] or own attitude
 HEALTHY_HEADINGS = ("who", "logs", "number", "in flight", "findings", "per hour")
 AXES = {"gyro": "xyz", "accelerometer": "xyz", "attitude": ("roll", "pitch", "yaw")}
@@ -229,8 +226,7 @@ def watch(judge: Judge, logs: Sequence[FlightLog]) -> Watch:
 
 def healthy_rows(who: str, watches: Mapping[str, Watch], each_group: bool) -> Iterator[list[str]]:
     """How long healthy logs are, what is found in them, how often an hour: by group if asked, and in all."""
-    recorded = [each for group, each in watches.items() if group != SIMULATED]
-    total = Watch(*(sum(column) for column in zip(*recorded, strict=True)))
+    total = Watch(*(sum(column) for column in zip(*watches.values(), strict=True)))
     shown = {**(watches if each_group else {}), "all recordings": total}
     for group, (logs, seconds, found) in shown.items():
         low, high = (write_number(3600.0 * bound / seconds) for bound in poisson_interval(found))
@@ -242,7 +238,6 @@ def make(data: Path) -> dict[str, str]:
     """Run all, and return the tables."""
     labels = read_labels(data)
     groups = read_healthy(data, labels)
-    groups[SIMULATED] = [fly_log(name) for name in FLOWN]
     judges: dict[str, Judge] = {"diagnose": judge_offline}
     for name in sorted(name for name in fault_observers.names() if fault_observers.get(name).has_detector):
         judges[name] = judge_by(fault_observers.get(name))
