@@ -172,7 +172,6 @@ class Emitter:
         self.real = real
         self.lines: list[str] = []
         self.tables: list[str] = [] if tables is None else tables  # constants, of the whole file
-        self.helpers: set[str] = set()  # functions of `quadftc_compile.matrices` that are called
         self.statements = 0
         self._work: list[tuple[str, int, bool]] = []  # arrays for results: type, numbers, in use
         self._numbers = itertools.count()

@@ -174,15 +174,13 @@ class _Builder:
             jaxpr = getattr(closed, "jaxpr", closed)
             constants = [self.constant(each) for each in getattr(closed, "consts", ())]
             return self._run(jaxpr, constants, operands, source)
-        if name == "custom_linear_solve":
-            return self._solve(params, operands, source)
         if name in ("scan", "cond"):
             return self._control(name, params, operands, out, source, outer)
         rule = _RULES.get(name)
         if rule is not None:
             results = rule(self, operands, out, source, params)
             return results if isinstance(results, list) else [results]
-        if len(out) > 1 or name == "sort":
+        if len(out) > 1:
             return self._whole(name, operands, out, source, dict(params))
         return [self.add(name, operands, out[0], source, **params)]
 
@@ -195,14 +193,6 @@ class _Builder:
         results = [self.add("result", [whole], each, source, index=k) for k, each in enumerate(out)]
         params["results"] = results
         return results
-
-    def _solve(self, params: Any, operands: list[Node], source: Source | None) -> list[Node]:
-        """Solve a linear system by the function that JAX gives for it."""
-        lengths, closed = params["const_lengths"], params["jaxprs"].solve
-        before = lengths.matvec + lengths.vecmat
-        rest = operands[before + lengths.solve + lengths.transpose_solve :]
-        used = [*operands[before : before + lengths.solve], *rest]
-        return self._run(closed.jaxpr, [self.constant(each) for each in closed.consts], used, source)
 
     def _control(
         self,

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from quadftc_compile import control as _control  # noqa: F401  (these know how to write what they are called)
-from quadftc_compile import emit, matrices
+from quadftc_compile import emit
 from quadftc_compile import places as _places  # noqa: F401
 from quadftc_compile import sums as _sums  # noqa: F401
 from quadftc_compile.emit import Storage
@@ -204,7 +204,6 @@ class _Writer:
         self._bodies: list[str] = []
         self._tables: list[str] = []
         self._compiled: dict[str, Compiled] = {}
-        self._helpers: set[str] = set()
 
     @property
     def _code(self) -> str:
@@ -233,7 +232,6 @@ class _Writer:
             [
                 "#include <math.h>\n",
                 emit.HELPERS.format(real=self._real, f=f),
-                *(matrices.FUNCTIONS[each].format(real=self._real, f=f) for each in sorted(self._helpers)),
                 *(table for table in self._tables if self._is_read(table)),
                 "",
                 *self._bodies,
@@ -296,7 +294,6 @@ class _Writer:
             [Storage(text, node.shape == ()) for text, node in zip(outputs, graph.outputs, strict=True)],
         )
         emitter.mark_unread()
-        self._helpers |= emitter.helpers
         # compilers are told of parameters that nothing reads
         unused = [each.split()[-1].lstrip("*") for each in parameters]
         body = "\n".join(emitter.lines)
