@@ -65,4 +65,8 @@ def _answer(content: bytes) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.unraisablehook = lambda _: None  # of a callback of JAX that Ctrl-C ends
+    try:
+        main()
+    except KeyboardInterrupt:  # who started this hears it, too
+        os._exit(130)
