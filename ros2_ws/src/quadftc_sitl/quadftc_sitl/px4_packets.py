@@ -31,6 +31,7 @@ DEGREE = 111318.84502145034  # m of latitude
 BOOT = 1.0  # s on its clock at our first sample; 0 means "unset"
 IMU_FIELDS = 0b111111  # of HIL_SENSOR's fields_updated: accelerometer and gyro
 FIELD_FIELDS, PRESSURE_FIELDS = 0b111000000, 0b1101000000000
+IMUS = 3  # all that its simulation knows; they say the same
 GAUSS, HECTOPASCAL = 1e4, 1e-2  # of a tesla, of a pascal
 TEMPERATURE = 25.0  # degC
 FIX_3D, SATELLITES = 3, 12
@@ -38,10 +39,9 @@ ACCURACY = 90, 150  # cm; across and up, as a receiver says
 PACKET = 65536  # bytes
 LOOK = 0.5  # s; how often it is looked whether the firmware lives
 TO_CONNECT, PATIENCE = 20.0, 20.0  # s of the wall clock, within which it connects, and goes on
-UNANSWERED, TICK = (
-    1.0,
-    0.004,
-)  # s; from a sample without an answer to the next: the first, and those behind it
+UNANSWERED = 1.0  # s; a sample that PX4 has not answered by then is followed by the next
+# s; until the next once it answers no more; and at most behind the first, as on the IMU left it may skip some
+TICK, AGAIN = 0.004, 0.02
 
 
 class PX4Physics(AutopilotPhysics):
@@ -101,10 +101,14 @@ class PX4Physics(AutopilotPhysics):
             self._pressure, updated = emission.pressure, updated | PRESSURE_FIELDS
         motion: Any = (*to_frd(sample.specific_force), *to_frd(sample.body_rate), *self._field)
         air = HECTOPASCAL * self._pressure, 0.0, pressure_height(self._pressure), TEMPERATURE
-        sensors = self._mavlink.hil_sensor_encode(stamp, *motion, *air, updated)
+        units = [updated, *[IMU_FIELDS] * (IMUS - 1)]
+        sensors = [
+            self._mavlink.hil_sensor_encode(stamp, *motion, *air, fields, unit).pack(self._mavlink)
+            for unit, fields in enumerate(units)
+        ]
         place = emission.place
         before = b"" if place is None or not place.there else self._position(stamp, place)
-        return before + sensors.pack(self._mavlink)
+        return before + b"".join(sensors)
 
     def _position(self, stamp: int, place: Any) -> bytes:
         """Write what the position sensor says."""
@@ -140,6 +144,7 @@ class PX4Server:
         self._mavlink = dialect.MAVLink(None)
         self._mavlink.robust_parsing = True
         self._heard = 0.0  # when PX4 answered last, by the wall clock; 0: not yet [s]
+        self._patience = UNANSWERED
         self._answers = False  # the last sample was answered
         self._looked = 0.0  # when it was looked whether the firmware lives [s]
         self.strangers = 0  # packets from elsewhere
@@ -158,9 +163,10 @@ class PX4Server:
         if self._peer is None:
             self._connect(firmware)
             return [b""]
-        self._answers = bool(packets := self.take(UNANSWERED if self._answers else TICK))
+        self._answers = bool(packets := self.take(self._patience if self._answers else TICK))
         if packets:
             return packets
+        self._patience = AGAIN if self._heard else UNANSWERED
         if self._heard or self._is_time():
             firmware.check_alive()
         if self._heard and time.monotonic() > max(self._heard, spoke) + PATIENCE:
