@@ -81,7 +81,7 @@ def fly_bank(known, gyro, angle, repeats_gyro):
     bank = inference.start_bank(np.zeros(3))
     for row in range(ROWS):
         mean = gyro[row] * e
-        given = known[row] * e, np.True_, mean, np.full(3, WALK), NOISE, repeats_gyro, DT
+        given = known[row] * e, np.zeros(3), np.True_, mean, np.full(3, WALK), NOISE, repeats_gyro, DT
         state = motion.predict(state, *given)
         bank = inference.move(bank, state.rate, repeats_gyro, DT)
         bank = one_onset(bank, row == ONSET)
@@ -153,7 +153,7 @@ def test_a_hypothesis_knows_how_axes_are_coupled_in_a_turn(kind, repeats_gyro):
     bank, q_xyzw = inference.start_bank(np.zeros(3)), LEVEL
     for row in range(40):
         q_xyzw = turn(q_xyzw, turning * DT)
-        given = np.zeros(3), np.True_, turning, np.full(3, WALK), NOISE, repeats_gyro, DT
+        given = np.zeros(3), np.zeros(3), np.True_, turning, np.full(3, WALK), NOISE, repeats_gyro, DT
         faulty = motion.predict(faulty, *given)
         faulty, _ = motion.take_gyro(faulty, turning + by_gyro, NOISE.gyro, THERE)
         faulty, _ = motion.take_attitude(faulty, turn(q_xyzw, by_attitude), NOISE.attitude, THERE)
@@ -167,6 +167,15 @@ def test_a_hypothesis_knows_how_axes_are_coupled_in_a_turn(kind, repeats_gyro):
     U = bank.U[:4, :, 0, 3 * kind + 1, SLOT]  # (states, axes)
     assert np.array(moved) / size == pytest.approx(U, rel=0.0, abs=0.002)
     assert abs(U[THETA, 1]) > 0.01
+
+
+def test_a_torque_may_have_changed_at_any_time_between_two_samples():
+    start = motion.start_motion(LEVEL, np.zeros(3), NOISE)
+    given = np.True_, np.zeros(3), np.full(3, WALK), NOISE, False, 0.2
+    change = np.array([6.0, 0.0, -6.0])  # rad/s²
+    calm, moved = (motion.predict(start, np.zeros(3), each, *given) for each in (np.zeros(3), change))
+    more = (moved.covariance - calm.covariance)[:, OMEGA, OMEGA]
+    assert more == pytest.approx((change * 0.2) ** 2 / 12.0)  # of what is uniform
 
 
 def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
@@ -213,4 +222,4 @@ def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
     bank = inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0)
     gone = inference.forget(bank, np.array([False, True, False])).age < 0.0
-    assert np.array_equal(gone, (modes.AXIS == 1)[:, None] | (bank.age < 0.0))
+    assert np.array_equal(gone, (modes.AXIS[: modes.EFFECTS] == 1)[:, None] | (bank.age < 0.0))

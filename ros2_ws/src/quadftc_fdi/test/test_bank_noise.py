@@ -34,7 +34,7 @@ class Learner:
         learning, last = state
         good = inputs.good & (namespace(inputs.gyro).zeros_like(inputs.gyro) < 1.0)
         pairs = inputs.gyro, last.gyro, inputs.known, inputs.q_xyzw, last.q_xyzw
-        learning = noise.learn(learning, *pairs, good, good, dt)
+        learning = noise.learn(learning, *pairs, good, good, good, dt)
         return (learning, inputs), noise.noise_of(learning)
 
 
@@ -65,9 +65,10 @@ def test_white_noise_unknown_acceleration_and_wander_are_told_apart(rate):
     found = {
         name: np.sqrt(np.mean([getattr(each, name)[-1] for each in flown])) for name in noise.Noise._fields
     }
+    # the loudest of late counts of the gyro
     # half of the wander from sample to sample looks white, and the drift that is taken off is in part d
     truth["attitude"] = np.hypot(truth["attitude"], truth["wander"] * np.sqrt(0.5 / rate))
-    for name, within in {"gyro": 0.02, "unknown": 0.15, "attitude": 0.03, "wander": 0.2}.items():
+    for name, within in {"gyro": 0.15, "unknown": 0.15, "attitude": 0.03, "wander": 0.2}.items():
         assert found[name] == pytest.approx(truth[name], rel=within), name
 
 
@@ -80,3 +81,23 @@ def test_a_fault_that_has_not_been_found_teaches_little():
     for name in noise.Noise._fields:
         was, now = (np.sqrt(getattr(each, name)[after]) for each in (healthy, faulty))
         assert np.all(now < 1.5 * was), name
+
+
+def test_noise_that_a_filter_has_smoothed_counts_as_long_as_it_lasts():
+    seen, rng, keep = readings(0.001, 0.0, 0.5, 0.1 * DEG, 0.5 * DEG), np.random.default_rng(2), 0.8
+    noise_of = 0.003 * rng.standard_normal(seen.gyro.shape)
+    for k in range(1, len(noise_of)):
+        noise_of[k] = keep * noise_of[k - 1] + np.sqrt(1.0 - keep**2) * noise_of[k]
+    smooth = rows_of(seen._replace(gyro=seen.gyro + noise_of), (slice(None), 0))
+    found = np.sqrt(fly_arrays(Learner(), smooth, 0.001)[1].gyro[-1])
+    assert found == pytest.approx(0.003 * np.sqrt((1.0 + keep) / (1.0 - keep)), rel=0.25)
+
+
+def test_vibration_that_comes_is_heard_at_once():
+    seen = rows_of(readings(0.004, 0.003, 0.5, 0.1 * DEG, 0.5 * DEG), (slice(None), 0))
+    loud = 0.03 * np.random.default_rng(3).standard_normal(seen.gyro.shape)
+    begins = len(loud) - 25  # 0.1 s before the end
+    loud[:begins] = 0.0
+    found = np.sqrt(fly_arrays(Learner(), seen._replace(gyro=seen.gyro + loud), 0.004)[1].gyro)
+    assert np.all(found[begins - 1] < 0.005)
+    assert np.all(found[-1] > 0.015)

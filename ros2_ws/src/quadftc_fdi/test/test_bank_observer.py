@@ -87,6 +87,16 @@ def test_a_healthy_flight_has_no_alarm():
     assert alarms(said_of(hovering(2, seconds=20.0))) == (set(), set())
 
 
+def test_a_small_jump_of_the_attitude_and_back_accuses_nobody():
+    jumps = (0.4 * DEG) * (ON & (TIME < ONSET + 1.0))[:, None] * np.array([1.0, -0.5, 0.2])
+    assert alarms(said_of(with_fault("attitude", jumps)))[0] == set()
+
+
+def test_vibration_that_comes_and_goes_accuses_nobody():
+    loud = 0.03 * np.random.default_rng(5).standard_normal((ROWS, 3)) * (ON & (TIME < ONSET + 2.0))[:, None]
+    assert alarms(said_of(with_fault("gyro", loud)))[0] == set()
+
+
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize(
     ("sensor", "size", "power", "within"),
@@ -111,7 +121,7 @@ def test_a_step_or_ramp_is_named_with_its_sensor_axis_sign_and_size(sensor, axis
     settled = slice(first + round(0.1 / DT), first + round(1.0 / DT))
     apart = each.size[settled, axis] - fault[settled, axis]
     # sigma of a gyro is that of a reading, not of its wandering bias
-    bound = 3.0 * each.std_dev[settled, axis] if sensor == "attitude" else 0.06
+    bound = 3.0 * each.std_dev[settled, axis] if sensor == "attitude" else 0.07
     assert np.mean(abs(apart) < bound) > 0.99
     assert np.all(np.sign(each.size[settled, axis]) == np.sign(size))
 
@@ -185,7 +195,7 @@ def test_a_coarse_sensor_at_rest_is_healthy():
 
 
 def test_vehicles_together_are_as_one_by_one():
-    both = with_fault("gyro", 0.4 * (TIME >= 20 * DT)[:, None] * np.eye(3)[0]), hovering(5)
+    both = with_fault("gyro", 0.4 * (TIME >= 80 * DT)[:, None] * np.eye(3)[0]), hovering(5)
     law = BankObserver(vehicle=QBALL)
     together = FaultObserverInputs(
         ImuSample(*(np.stack(pair, axis=1) for pair in zip(*(each.imu for each in both), strict=True))),
@@ -195,7 +205,7 @@ def test_vehicles_together_are_as_one_by_one():
     last = []
     for flight in (together, *both):
         state = law.init(rows_of(flight, 0))
-        for k in range(40):
+        for k in range(100):
             state, estimate = law.step(state, rows_of(flight, k), DT if k else 0.0)
         last.append((state.bank, state.motion, estimate.sensors.gyro, estimate.corrected))
     assert last[1][2].state.tolist() != last[2][2].state.tolist()  # the first has a fault

@@ -23,9 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank.modes import AXIS, MODES, PRIOR, PUSH, RATE, pattern
+from quadftc_fdi.bank.modes import AXIS, EFFECT, EFFECTS, PRIOR, PUSH, RATE, pattern
 from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, STATES, THETA, D, Gains
 from quadftc_fdi.bank.noise import MEMORY, SMALL
+from quadftc_fdi.bank.noise import PRIOR as LEARNING
 from quadftc_model.arrays import (
     Array,
     Mask,
@@ -76,12 +77,12 @@ class Posterior(NamedTuple):
 
 
 def start_bank(like: Vector) -> Bank:
-    """Start without an onset."""
+    """Start without an onset; the first comes when noise has been learned."""
     xp, batch = namespace(like), like.shape[:-1]
-    modes = (MODES, len(RING))
+    modes = (EFFECTS, len(RING))
     J, temper = xp.zeros((*batch, 2, 3, *modes)), xp.zeros((*batch, 2, 3, len(SLOTS)))
     U, age = xp.zeros((*batch, STATES, 3, 2, *modes)), xp.zeros((*batch, *modes)) + NEVER
-    return Bank(U, J, J[..., :2, :, :], age, xp.zeros_like(like), temper + DOUBT, temper)
+    return Bank(U, J, J[..., :2, :, :], age, xp.zeros_like(like) - LEARNING, temper + DOUBT, temper)
 
 
 def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
@@ -119,7 +120,7 @@ def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
         least = row == row.min(axis=-1, keepdims=True)
         new.append(least & (xp.cumsum(1.0 * least, axis=-1) <= 1.0) & due[..., ring : ring + 1])
     fresh = xp.concatenate(new, axis=-1)[..., None, :]
-    jump = np.zeros((STATES, 3, 2, MODES, 1))
+    jump = np.zeros((STATES, 3, 2, EFFECTS, 1))
     jump[D, :, 0, :, 0] = pattern(PUSH)
     return state._replace(
         U=where(fresh[..., None, None, None, :, :], jump, state.U),
@@ -173,10 +174,18 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
 
 def believe(state: Bank) -> Posterior:
     """Return the posterior of size and slope, and the weight of mode and onset."""
-    share = 1.0 / state.temper.max(axis=-1)[..., AXIS]  # (..., 2, modes); alike for all onsets
-    J, d = ((part * share[..., None, :, None]).sum(axis=-4) for part in (state.J, state.d))
+    share = 1.0 / state.temper.max(axis=-1)[..., AXIS[:EFFECTS]]  # (..., 2, effects); alike for all onsets
+    J, d = ((part * share[..., None, :, None]).sum(axis=-4)[..., EFFECT, :] for part in (state.J, state.d))
     evidence, b, covariance = _solved(J, d, PRIOR)
-    return Posterior(where(state.age >= 0.0, evidence + USUAL, LOWEST), b, covariance)
+    began = state.age[..., EFFECT, :] >= 0.0
+    return Posterior(where(began, evidence + USUAL, LOWEST), b, covariance)
+
+
+def by_effect(of_modes: Array) -> Array:
+    """Add up (..., modes, slots) of modes whose effects are alike: (..., effects, slots)."""
+    extra = of_modes[..., EFFECTS:, :]
+    like = of_modes[..., : extra.shape[-2], :] + extra
+    return namespace(like).concatenate([like, of_modes[..., extra.shape[-2] : EFFECTS, :]], axis=-2)
 
 
 def _solved(J: Array, d: Array, prior: Array) -> tuple[Array, Array, Array]:
@@ -215,5 +224,5 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
 
 def forget(state: Bank, axes: Mask) -> Bank:
     """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise."""
-    gone = axes[..., AXIS][..., None]
+    gone = axes[..., AXIS[:EFFECTS]][..., None]
     return state._replace(age=where(gone, NEVER, state.age))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-ATTITUDE, GYRO, PUSH = range(3)  # what a mode changes, and the row of its kind
+ATTITUDE, GYRO, PUSH, JUMP = range(4)  # what a mode changes, and the row of its kind
 
 
 class Kind(NamedTuple):
@@ -27,18 +27,23 @@ class Kind(NamedTuple):
 
 # what one would bet on before a flight
 FAULTS = 0.1  # 1/h; chosen: of a sensor, on each axis
-PUSHES = 100.0  # 1/h; chosen: on each axis, and gust fronts
+EVENTS = 100.0  # 1/h; chosen: on each axis, what is no fault
 ATTITUDE_SIZE = math.radians(5.0)  # rad; chosen: what a sensor jumps
 ATTITUDE_SLOPE = 0.03  # rad/s; chosen: seldom creeps; decides who is blamed for a slow discrepancy
 GYRO_SIZE = 0.3  # rad/s; chosen: what a sensor jumps
 GYRO_SLOPE = 0.3  # rad/s²; chosen: fast drift
 PUSH_SIZE = 10.0  # rad/s²; chosen: collision, gust
+JUMP_SIZE = math.radians(0.1)  # rad; chosen: what an attitude jumps as a marker hides or a filter resets
+NONE = 1e-6  # 1/s; rounding: the slope of what has none
 KINDS = (
     Kind("attitude", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_SLOPE, FAULTS),
-    Kind("push", False, PUSH_SIZE, 1, PUSHES),
+    Kind("push", False, PUSH_SIZE, NONE, EVENTS),
+    Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
 )
 MODES = 3 * len(KINDS)
+EFFECTS = 9  # modes with an effect of their own; a jump has that of a faulty attitude
+EFFECT = np.arange(MODES) % EFFECTS
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
 PRIOR = np.array([[kind.size, kind.slope] for kind in KINDS])[KIND] ** 2  # (modes, 2) variances
@@ -47,5 +52,5 @@ IS_FAULT = np.array([kind.is_fault for kind in KINDS])[KIND]
 
 
 def pattern(kind: int) -> NDArray[np.float64]:
-    """Return which body axes (3, modes) the modes of a kind change; zeros for all others."""
-    return 1.0 * ((np.arange(3)[:, None] == AXIS) & (kind == KIND))
+    """Return which body axes (3, effects) the modes of a kind change; zeros for all others."""
+    return (1.0 * ((np.arange(3)[:, None] == AXIS) & (kind == KIND)))[:, :EFFECTS]

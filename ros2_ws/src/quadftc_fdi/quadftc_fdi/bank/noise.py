@@ -7,6 +7,11 @@ acceleration of variance D adds D lag², a wandering error W lag:
     gyro against torque:     var y = 2 R + D lag²
     attitude against gyro:   var y = 2 R + W lag
 
+A filter in the gyro smooths its noise. Of noise whose neighbours correlate by rho, changes from sample to
+sample have a variance of 6 R (1 - 4/3 rho + rho²/3) only. R is then seen over a short lag, and what it weighs
+is that of white noise which averages alike, R (1 + rho) / (1 - rho). Vibration comes at once: by how much
+those changes have grown over the longer lag, by that the noise has.
+
 A steady drift is taken off: a trim, a bias. Squares are clipped, so a fault that has not been found yet
 teaches little; news count twice, so that what was learned at first is soon outweighed.
 """
@@ -22,6 +27,7 @@ from quadftc_model.arrays import (
     Quaternion,
     Scalar,
     Vector,
+    clip,
     column,
     larger,
     namespace,
@@ -33,6 +39,8 @@ from quadftc_model.rotations import rotation_between, turn
 
 SMALL = 1e-12  # 1; rounding: rad², rad²/s², or of a determinant over its product
 SEVERAL = 3.0  # 1; chosen: readings in a row that are loud, repeated or missing, and no chance
+SHORT = 0.01  # s; chosen: short lag of the gyro: beyond its filter
+COLOURED = 0.98  # 1; chosen: largest correlation of the noise of two samples
 LONG = 0.04  # s; chosen: longer lag of the gyro: some samples, below the motion's period
 LONGER = 0.2  # s; chosen: the same of the attitude
 MEMORY = 20.0  # s; chosen: of what is learned
@@ -67,11 +75,22 @@ class Variogram(NamedTuple):
     drift: Vector  # how fast they move apart in the mean [1/s]
 
 
+class Bend(NamedTuple):
+    """How much the gyro's movement over the short lag changes from one lag to the next."""
+
+    square: Vector  # mean of the squares [rad²/s²]
+    since: Vector  # movement since the anchor [rad/s]
+    until: Vector  # over the lag before that [rad/s]
+    age: Scalar  # of the anchor [s]
+
+
 class Learning(NamedTuple):
     """Variograms, and where their longer lags begin."""
 
     gyro: Variogram
     attitude: Variogram
+    lately: Vector  # mean square of the gyro from sample to sample, over the longer lag alone [rad²/s²]
+    bend: Bend
     moved: Vector  # of the gyro against torque, at the last sample [rad/s]
     rate: Vector  # reading of the gyro at its anchor [rad/s]
     turned: Vector  # by torque since [rad/s]
@@ -86,7 +105,9 @@ def start_learning(q_xyzw: Quaternion, gyro: Vector) -> Learning:
     white, still, lag = zeros + GYRO**2, zeros + ATTITUDE**2, zeros + LONG**2
     by_torque = Variogram(6.0 * white, 2.0 * white + UNKNOWN**2 * lag, lag, zeros, zeros)
     by_gyro = Variogram(2.0 * still, 2.0 * still, zeros + LONGER, zeros, zeros)
-    return Learning(by_torque, by_gyro, zeros, gyro, zeros, zeros[..., 0], q_xyzw, zeros[..., 0])
+    none, near = zeros[..., 0], by_torque.near
+    bend = Bend(near, zeros, zeros, none)
+    return Learning(by_torque, by_gyro, near, bend, zeros, gyro, zeros, none, q_xyzw, none)
 
 
 def learn(
@@ -98,11 +119,12 @@ def learn(
     last_q: Quaternion,
     good_gyro: Mask,
     good_attitude: Mask,
+    heard: Mask,
     dt: Scalar,
 ) -> Learning:
     """Learn from a sample: readings, those before, and the known acceleration since [rad/s²].
 
-    The masks say which readings are there and believed.
+    The masks say which readings are there and believed; the last, of which the gyro has a reading at all.
     """
     step = column(dt)
     turning = 0.5 * (gyro + last_gyro) * step
@@ -110,6 +132,8 @@ def learn(
     turned, at_anchor = state.turned + known * step, turn(state.q_xyzw, turning)
     full, fuller = age >= LONG, older >= LONGER
     moved = gyro - last_gyro - known * step
+    square = smaller((moved - state.moved) ** 2, TIGHT * larger(state.lately, state.gyro.near))
+    lately = state.lately + smaller(step / LONG, 1.0) * heard * (square - state.lately)
     apart = rotation_between(turn(last_q, turning), q_xyzw) - state.attitude.drift * step
     both = good_gyro & good_attitude
     far = gyro - state.rate - turned, column(age), full & (age < 2.0 * LONG)
@@ -117,7 +141,9 @@ def learn(
     return Learning(
         _learned(state.gyro, moved - state.moved, *far, good_gyro, 2, LOOSE, step),
         _learned(state.attitude, apart, *farther, both, 1, TIGHT, step),
-        where(good_gyro, moved, state.moved),
+        lately,
+        _bent(state.bend, moved, good_gyro, state.gyro.time, dt),
+        where(heard, moved, state.moved),
         where(column(full), gyro, state.rate),
         where(column(full), 0.0, turned),
         where(full, 0.0, age),
@@ -152,12 +178,33 @@ def _learned(
     )
 
 
+def _bent(state: Bend, moved: Vector, good: Mask, time: Vector, dt: Scalar) -> Bend:
+    """Learn from how far the gyro moved over ``dt`` [s] against torque [rad/s]."""
+    since, age = state.since + moved, state.age + dt
+    full = column(age >= SHORT - 1e-6)
+    gain = smaller(NEWS * column(age) / (PRIOR + time), 1.0) * (good & full & (column(age) < 2.0 * SHORT))
+    news = smaller((since - state.until) ** 2, LOOSE * state.square) - state.square
+    return Bend(
+        state.square + gain * news,
+        where(full, 0.0, since),
+        where(full, since, state.until),
+        where(age >= SHORT - 1e-6, 0.0, age),
+    )
+
+
 def noise_of(state: Learning) -> Noise:
     """Return the variances that explain both lags."""
     gyro, attitude = state.gyro, state.attitude
-    white, still = larger(gyro.near / 6.0, SMALL), larger(attitude.near / 2.0, LEAST_ATTITUDE**2)
-    unknown = larger((gyro.far - 2.0 * white) / gyro.lag, LEAST_UNKNOWN**2)
+    total, still = larger(gyro.near, state.bend.square) / 6.0 + SMALL, attitude.near / 2.0
+    rho = clip(2.0 - sqrt(1.0 + 0.5 * gyro.near / total), 0.0, COLOURED)
+    white, still = louder(state) * total * (1.0 + rho) / (1.0 - rho), larger(still, LEAST_ATTITUDE**2)
+    unknown = larger((gyro.far - 2.0 * total) / gyro.lag, LEAST_UNKNOWN**2)
     # two sigma of a mean of squares
     doubt = 2.0 * (2.0 * still) * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
     wander = larger((attitude.far - 2.0 * still - doubt) / attitude.lag, LEAST_WANDER**2)
     return Noise(white, unknown, still, wander)
+
+
+def louder(state: Learning) -> Vector:
+    """Return by how much the variance of the gyro's noise has risen of late."""
+    return larger(state.lately / larger(state.gyro.near, SMALL), 1.0)

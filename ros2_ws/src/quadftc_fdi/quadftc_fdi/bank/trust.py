@@ -12,10 +12,9 @@ import numpy as np
 
 from quadftc_fdi.bank import inference, modes
 from quadftc_fdi.bank.inference import Bank, Posterior
-from quadftc_fdi.bank.motion import BETA, CORRELATED, STATES, WALK, Gains, Motion, moved_by
+from quadftc_fdi.bank.motion import BETA, CORRELATED, STATES, THETA, Motion, moved_by
 from quadftc_fdi.bank.noise import TIGHT
 from quadftc_fdi.bank.readings import BACK
-from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_model.arrays import (
     Array,
     Flag,
@@ -27,19 +26,16 @@ from quadftc_model.arrays import (
     larger,
     log,
     namespace,
-    smaller,
-    sqrt,
     where,
 )
 
-FAULTY_WALK = 0.1  # rad/s/√s; chosen: least walk of the bias of a gyro that is not believed
+FAULTY_WALK = 0.1  # rad/s/√s; chosen: walk of the bias of a gyro that is not believed
 AGREES = CORRELATED  # s; for which an attitude must agree with the motion: longer than a gust lasts
 SOON = 0.05  # s; chosen: for which an attitude must agree after a jump back
 SEEN = 12.0  # 1; derived: log-likelihood of a jump back, by 99 % and a prior of 1e-3 a sample
-AVERAGE = 0.02  # s; chosen: over which sizes of attitude faults and jumps of gyros are averaged
+AVERAGE = 0.02  # s; chosen: over which sizes of attitude faults are averaged
 NEAR = 4.0  # 1; chosen: square of a gyro's bias over its variance that is as before: two sigma
 SPREAD = 1.2  # 1; chosen: variance of a faulty attitude about its size, over its noise
-LARGEST = 1.0  # rad/s; chosen: largest jump of a gyro that counts
 
 
 class Trust(NamedTuple):
@@ -49,7 +45,7 @@ class Trust(NamedTuple):
     age: Vector  # of the fault [s]
     size: Vector  # reading less motion
     other: Vector  # of the attitude the largest size; of the gyro its bias before the fault
-    evidence: Vector  # of the attitude log-likelihood ratio that it is over; of the gyro mean square of jumps
+    evidence: Vector  # of the attitude log-likelihood ratio that it is over
     calm: Vector  # for how long it has looked healthy [s]
 
 
@@ -59,8 +55,13 @@ def full_trust(like: Vector) -> Trust:
     return Trust(zeros > 0.0, zeros, zeros, zeros, zeros, zeros)
 
 
-def take_over(motion: Motion, bank: Bank, posterior: Posterior, mode: Array) -> tuple[Motion, Bank, Scalar]:
-    """Believe the likeliest onset of a mode (..., modes): return motion, bank and age of that onset [s]."""
+def take_over(
+    motion: Motion, bank: Bank, posterior: Posterior, mode: Array, added: Array
+) -> tuple[Motion, Bank, Scalar]:
+    """Believe the likeliest onset of a mode (..., modes): return motion, bank and age of that onset [s].
+
+    ``added`` (..., 3, effects) is what a faulty attitude adds to its rotation vector.
+    """
     xp = namespace(posterior.log_weight)
     own = where(mode[..., None], posterior.log_weight, 2.0 * inference.LOWEST)
     pick = mode[..., None] & (own == own.max(axis=(-1, -2), keepdims=True))
@@ -68,10 +69,14 @@ def take_over(motion: Motion, bank: Bank, posterior: Posterior, mode: Array) -> 
     def of(part: Array) -> Array:
         return where(pick, part, 0.0).sum(axis=(-1, -2))
 
-    # what a faulty gyro reads too much is its bias from now on
-    bias = modes.pattern(modes.GYRO)[:, None, :, None] * inference.shape_of(bank)[..., None, :, :, :]
-    bias = bias[..., None, :, :, :, :] * np.equal(np.arange(STATES), BETA)[:, None, None, None, None]
-    picked = where(pick[..., None, None, None, :, :], bank.U + bias, 0.0).sum(axis=(-1, -2))
+    # what a faulty gyro reads too much is its bias from now on; an attitude that jumped is the new one
+    effect = inference.by_effect(1.0 * pick)
+    jumped = 1.0 * mode[..., modes.EFFECTS :].any(axis=-1)
+    states = np.arange(STATES)[:, None, None]
+    of_gyro = np.equal(states, BETA) * modes.pattern(modes.GYRO)
+    moves = of_gyro + np.equal(states, THETA) * (column(column(jumped)) * added)[..., None, :, :]
+    changed = bank.U + moves[..., None, :, None] * inference.shape_of(bank)[..., None, None, :, :, :]
+    picked = (changed * effect[..., None, None, None, :, :]).sum(axis=(-1, -2))
     U = xp.moveaxis(picked, -3, -1)  # (..., 3, 2, 8)
     b = xp.stack([of(posterior.b[..., k, :, :]) for k in range(2)], axis=-1)
     first, mixed, last = (of(posterior.covariance[..., k, :, :]) for k in range(3))
@@ -79,35 +84,24 @@ def take_over(motion: Motion, bank: Bank, posterior: Posterior, mode: Array) -> 
     change = (U * b[..., None, :, None]).sum(axis=-2)
     P = motion.covariance + U.swapaxes(-1, -2) @ spread[..., None, :, :] @ U
     axes = (mode[..., None] & (modes.AXIS[:, None] == np.arange(3))).any(axis=-2)
-    return moved_by(motion, change)._replace(covariance=P), inference.forget(bank, axes), of(bank.age)
-
-
-def walk_of(state: Trust, dt: Scalar) -> Vector:
-    """Return how a gyro's bias walks [rad/s/sqrt(s)]: one that is not believed by what it jumps."""
-    jumps = state.evidence / larger(column(dt), SHORTEST)
-    return sqrt(where(state.faulty, larger(FAULTY_WALK**2, jumps), WALK**2))
+    age = of(bank.age[..., modes.EFFECT, :])
+    return moved_by(motion, change)._replace(covariance=P), inference.forget(bank, axes), age
 
 
 def watch_gyro(
-    state: Trust,
-    named: Mask,
-    age: Scalar,
-    motion: Motion,
-    before: Vector,
-    seen: Gains,
-    noise: Vector,
-    dt: Scalar,
+    state: Trust, named: Mask, age: Scalar, motion: Motion, before: Vector, louder: Vector, dt: Scalar
 ) -> Trust:
-    """Watch a gyro until its bias [rad/s] is what it was ``before``, and it jumps no more than its noise."""
+    """Watch a gyro until its bias [rad/s] is what it was ``before``.
+
+    It must be hardly ``louder`` than usual, too: by that factor the variance of its noise has risen.
+    """
     begins = named & ~state.faulty
     usual = where(begins, before, state.other)
     size = motion.bias - usual
-    square = where(seen.used, smaller(seen.innovation**2, LARGEST**2), state.evidence)
-    jumps = state.evidence + (1.0 - exp(-dt / AVERAGE)) * (square - state.evidence)
-    agrees = (size * size < NEAR * motion.covariance[..., BETA, BETA]) & (jumps < TIGHT * noise)
+    agrees = (size * size < NEAR * motion.covariance[..., BETA, BETA]) & (louder < TIGHT)
     calm = where(named, 0.0, (state.calm + dt) * agrees)
     faulty = (state.faulty | named) & (calm < BACK)
-    return _kept(faulty, where(begins, column(age), state.age + dt), size, usual, jumps, calm)
+    return _kept(faulty, where(begins, column(age), state.age + dt), size, usual, 0.0 * usual, calm)
 
 
 def watch_attitude(

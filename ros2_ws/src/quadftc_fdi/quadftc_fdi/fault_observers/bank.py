@@ -138,7 +138,8 @@ class BankObserver(FaultObserver):
         bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
         angles = euler_from_quaternion(moved.q_xyzw)
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
-        expected = inference.of_attitude(bank, moved.rate, _turning(angles) @ modes.pattern(modes.ATTITUDE))
+        added = _turning(angles) @ modes.pattern(modes.ATTITUDE)
+        expected = inference.of_attitude(bank, moved.rate, added)
         kept = quaternion_from_euler(angles + where(state.attitude.faulty, 0.0, off))
         taken = where(any_of(state.attitude.faulty), kept, imu.q_xyzw)
         moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
@@ -146,21 +147,23 @@ class BankObserver(FaultObserver):
         # believe
         posterior = inference.believe(bank)
         shares, p, doubt = _probabilities(posterior.log_weight)
-        named = self._named(p, doubt)
+        aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
+        named = self._named(p, doubt, good_attitude, aged)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
-            lambda: trust.take_over(moved, bank, posterior, named),
+            lambda: trust.take_over(moved, bank, posterior, named, added),
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
         attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), named[..., 3:6]
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(state.attitude, attitude, age, off, spread, white, there, dt)
-        before, white = state.motion.bias, levels.gyro
-        gyro = trust.watch_gyro(state.gyro, gyro, age, believed, before, by_gyro, white, dt)
+        before, louder = state.motion.bias, noise.louder(state.learning)
+        gyro = trust.watch_gyro(state.gyro, gyro, age, believed, before, louder, dt)
         # learn
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
-        learning = noise.learn(state.learning, read, state.rate, known, imu.q_xyzw, state.q_xyzw, *well, dt)
+        moves = read, state.rate, known, imu.q_xyzw, state.q_xyzw
+        learning = noise.learn(state.learning, *moves, *well, good_gyro, dt)
         after = State(
             motion=believed,
             learning=learning,
@@ -175,7 +178,7 @@ class BankObserver(FaultObserver):
             torque=torque,
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
-        b = posterior.b * (shares * ~is_sure[..., None, None])[..., None, :, :]
+        b = inference.by_effect(posterior.b * (shares * ~is_sure[..., None, None])[..., None, :, :])
         shift = (bank.U * b[..., None, None, :, :, :]).sum(axis=(-1, -2, -3)).swapaxes(-1, -2)
         flown = motion.moved_by(believed, shift)
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
@@ -203,20 +206,28 @@ class BankObserver(FaultObserver):
         torque = state.torque + share * (inputs.torque - state.torque)
         turning = clip(state.motion.rate, -samples.MAX_BODY_RATE, samples.MAX_BODY_RATE)
         known = 0.5 * (torque + state.torque) / inertia + gyroscopic_acceleration(inertia, turning)
+        between = (torque - state.torque) / inertia  # it may have changed at any time since the last sample
         usual = state.learning.gyro.drift * column(inputs.driven)  # a trim, a centre of mass that is off
-        walk = trust.walk_of(state.gyro, dt)
+        walk = where(state.gyro.faulty, trust.FAULTY_WALK, motion.WALK)
         mean = 0.5 * (read + state.rate)
         repeats = self.attitude_from_gyro
-        moved = motion.predict(state.motion, known + usual, inputs.driven, mean, walk, levels, repeats, dt)
+        moved = motion.predict(
+            state.motion, known + usual, between, inputs.driven, mean, walk, levels, repeats, dt
+        )
         return moved, known, torque
 
-    def _named(self, p: Array, doubt: Array) -> Array:
-        """Which mode is beyond doubt (..., modes); at most one."""
-        is_fault = modes.IS_FAULT
-        if self.attitude_from_gyro:  # a jump of it is one of its estimator
-            is_fault = is_fault & (modes.KIND != modes.ATTITUDE)
-        takes = is_fault | (modes.KIND != modes.GYRO)
-        sure = doubt < where(is_fault, 1.0 - self.level, COMMITS) * takes
+    def _named(self, p: Array, doubt: Array, good_attitude: Mask, aged: Array) -> Array:
+        """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
+
+        Twice the certainty is needed of a gyro without a ``good_attitude``, the last witness of its axis. It
+        is needed of a jump of the attitude, too, which must have stayed: else it hides a fault.
+        """
+        few, kind = 1.0 - self.level, modes.KIND
+        last = (kind == modes.GYRO) & ~good_attitude[..., modes.AXIS]
+        stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
+        least = where(last | stays, few * few, where(modes.IS_FAULT, few, COMMITS))
+        takes = (kind != modes.ATTITUDE) | (not self.attitude_from_gyro)  # a jump is its estimator's
+        sure = doubt < least * takes
         return sure & (p == (p * sure).max(axis=-1, keepdims=True))
 
     def _said(
