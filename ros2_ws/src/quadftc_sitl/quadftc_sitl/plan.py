@@ -3,11 +3,12 @@
 The key is optional; any scenario of free flight can be flown without it:
 
     autopilot:
-      mode: guided              # setpoints of the trajectories; or auto: a mission of waypoints along them
+      mode: guided              # setpoints (PX4: OFFBOARD); or auto: a mission of waypoints along them
       end: land                 # or rtl
       parameters: {ARMING_CHECK: 1}
-      faults:                   # the autopilot's own simulated ones, set as parameters and put back
+      faults:                   # the autopilot's own simulated ones, set and put back
         - {set: {SIM_GYR1_BIAS_X: 0.3}, start: 20 s, stop: 25 s}
+        - {inject: gyro 1 stuck, start: 20 s, stop: 25 s}      # by PX4's command
       guard:                    # what is done about what our observer names; else nothing
         {actions: {gyro: land, rotor 1: tell}, after: 0.3 s, ambiguous: false}
       checks:
