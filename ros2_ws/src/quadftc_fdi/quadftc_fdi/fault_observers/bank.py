@@ -51,7 +51,6 @@ from quadftc_model.samples import (
 )
 
 OFFSET, STUCK, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "absent"))
-COMMITS = 1e-6  # 1; chosen: doubt at which a push is taken for true: it hides what began with it
 
 
 class State(NamedTuple):
@@ -220,12 +219,13 @@ class BankObserver(FaultObserver):
         """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
 
         Twice the certainty is needed of a gyro without a ``good_attitude``, the last witness of its axis. It
-        is needed of a jump of the attitude, too, which must have stayed: else it hides a fault.
+        is needed of a jump of the attitude, too, which must have stayed, and thrice of a push: both hide what
+        began with them.
         """
         few, kind = 1.0 - self.level, modes.KIND
         last = (kind == modes.GYRO) & ~good_attitude[..., modes.AXIS]
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
-        least = where(last | stays, few * few, where(modes.IS_FAULT, few, COMMITS))
+        least = where(last | stays, few * few, where(modes.IS_FAULT, few, few**3))
         takes = (kind != modes.ATTITUDE) | (not self.attitude_from_gyro)  # a jump is its estimator's
         sure = doubt < least * takes
         return sure & (p == (p * sure).max(axis=-1, keepdims=True))
