@@ -26,7 +26,7 @@ from quadftc_sitl.px4_pilot import PX4Pilot
 BASE_PORT = 4560  # TCP; PX4 connects to this and its instance's number
 MODEL = "none_iris"  # airframe of its start script, a quadrotor behind the simulator API
 SCRIPT = Path("etc", "init.d-posix", "rcS")
-RATES = (100, 250, 400, 800, 1000, 2000)  # Hz; of IMU_GYRO_RATEMAX, and the first three of IMU_INTEG_RATE
+RATES = (100, 200, 250, 400)  # Hz; of IMU_INTEG_RATE
 SLOWEST = 250.0  # Hz; PX4's rate controller needs a gyro as fast
 LEFT = ("/tmp/px4-sock-{}", "/tmp/px4_lock-{}")  # files of an instance
 # where its start script finds them before its own files of these names
@@ -61,11 +61,10 @@ class PX4(Autopilot):
         The log is that of a real vehicle by default, not the longer one of a simulation.
         """
         plant: Any = plan.scenario.plant
-        rate = self.rate(plan)
         return {
             **rotor_parameters(plant.vehicle),
-            "IMU_GYRO_RATEMAX": _at_most(RATES, rate),
-            "IMU_INTEG_RATE": _at_most(RATES[:3], rate),
+            "IMU_GYRO_RATEMAX": 2000.0,  # every sample is used, and answered
+            "IMU_INTEG_RATE": float(max(choice for choice in RATES if choice <= self.rate(plan))),
             "EKF2_GPS_DELAY": 1e3 * self.sensors["position.delay"],
             "COM_RC_IN_MODE": 4.0,
             "NAV_RCL_ACT": 0.0,
@@ -127,8 +126,3 @@ def rotor_parameters(vehicle: Vehicle) -> dict[str, float]:
         found |= {f"CA_ROTOR{number}_{name}": value for name, value in values.items()}
         found[f"PWM_MAIN_FUNC{number + 1}"] = 101.0 + number
     return {**found, "MPC_THR_HOVER": round(vehicle.weight / vehicle.thrust_max, 3)}
-
-
-def _at_most(choices: tuple[int, ...], rate: float) -> float:
-    """Return the largest choice that a rate [Hz] reaches."""
-    return float(max(choice for choice in choices if choice <= max(rate, choices[0])))
