@@ -153,9 +153,12 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("XLA_FLAGS", QUICK_TO_COMPILE)
     os.environ.setdefault("NPROC", "1")  # so many threads has JAX
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = ""
+    from quadftc_ros.leftovers import remove_leftovers  # pure
     from quadftc_ros.reach import stay_local  # pure
 
     stay_local()
+    if not hasattr(config, "workerinput"):
+        remove_leftovers()
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job; its children ignore it, too
         signal.signal(signal.SIGINT, signal.default_int_handler)
     gc.set_threshold(100_000, 20, 100)  # the usual ones cost a tenth of the time: JAX keeps many objects

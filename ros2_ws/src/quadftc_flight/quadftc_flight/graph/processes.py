@@ -22,6 +22,7 @@ from quadftc_flight.graph.plan import STALL_TIMEOUT, GraphError, GraphPlan, Prog
 from quadftc_ros.children import Children
 from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import WARN
+from quadftc_ros.leftovers import remove_leftovers
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.reach import enclave_arguments
 from quadftc_ros.recorder_node import RecorderNode
@@ -79,12 +80,14 @@ class Respawn:
 class ProcessGraph(Graph):
     """The nodes of a plan as processes; a context manager. It ends only what it started, and all of that.
 
-    Should this process be killed, the nodes stop by themselves. A wrong namespace and a bag that cannot be
-    made are a ValueError; a node that is not installed and a scheduling that is not allowed, a GraphError.
+    First it removes what killed processes left in shared memory. Should this process be killed, the nodes
+    stop by themselves. A wrong namespace and a bag that cannot be made are a ValueError; a node that is not
+    installed and a scheduling that is not allowed, a GraphError.
     """
 
     def __init__(self, plan: GraphPlan) -> None:
         prepare_laws([plan])
+        remove_leftovers()
         super().__init__("events")
         self.plan = plan
         self.children = Children()
