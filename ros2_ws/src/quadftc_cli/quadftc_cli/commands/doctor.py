@@ -25,6 +25,7 @@ from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import ScenarioError, find_scenario, load_scenario, scenario_names
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_ros.executor import make_executor
+from quadftc_ros.leftovers import find_leftovers
 from quadftc_ros.reach import LOOPBACK, PROFILE, RANGE, is_bound, open_addresses, outside, reach
 from quadftc_ros.topics import TOPICS
 
@@ -130,6 +131,13 @@ def _disk() -> str:
     return f"{free / 1e9:.1f} GB free here"
 
 
+def _memory() -> str:
+    """Say how much killed processes left in shared memory, which the next graph of processes removes."""
+    left = find_leftovers().values()
+    size = sum(path.stat().st_size for paths in left for path in paths if path.exists())
+    return f"{len(left)} segments and ports left by killed processes, {size / 1e6:.0f} MB"
+
+
 # part: what describes it or raises, how to mend it
 CHECKS: dict[str, tuple[Callable[[], str], str]] = {
     "python": (_python, "install CPython 3.10-3.13 and run scripts/setup"),
@@ -141,5 +149,6 @@ CHECKS: dict[str, tuple[Callable[[], str], str]] = {
     "scenarios": (_scenarios, MEND_FILE),
     "communication": (_communication, "check ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the loopback network"),
     "reach": (_reach, f"unset {RANGE} and {PROFILE}"),
+    "shared memory": (_memory, "look at /dev/shm"),
     "disk": (_disk, "free some space"),
 }
