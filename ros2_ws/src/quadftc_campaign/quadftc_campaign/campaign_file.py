@@ -9,6 +9,8 @@ source: {kind: loop}               # loop: the closed loop. Or the fault observe
                                    #   motion: simulated along the references of the scenario
                                    #   recordings: of the rosbag2 bags in `directory`; flights are of each
                                    # delay: {uniform: [0 s, 10 s]}   by which all faults come later
+                                   # Or `source: sitl`: an autopilot's firmware, by `quadftc sitl FILE`;
+                                   # with name, set, flights, seed, vary and one of the schemes alone
 flights: 1000
 seed: 1
 schemes: [supervised]              # of the scenario, or all; or observers and controllers to cross:
@@ -37,11 +39,19 @@ tune:                                    # for quadftc tune
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+)
 
 from quadftc_campaign.batch.engine import ENGINES, JAX
 from quadftc_campaign.batch.records import ROOTS, VARIATION
@@ -72,6 +82,8 @@ RESERVED = ("seed", "schemes")  # each flight draws its seed; the schemes are co
 COSTS = (*ROOTS, VARIATION)  # metrics that tuning can lower
 ALL = "all"
 OTHERS = "others"
+SITL = "sitl"
+NOT_IN_SITL = ("observers", "parameters", "controllers", "precision", "report", "checks", "tune")
 
 
 class _Keys(BaseModel):
@@ -98,11 +110,15 @@ VaryingPath = Annotated[str, AfterValidator(_check_path)]
 
 
 class SourceKeys(_Keys):
-    """Where the flights come from: the closed loop, samples along a motion, or recordings."""
+    """Where the flights come from: the closed loop, samples along a motion, recordings, or a firmware."""
 
-    kind: Literal["loop", "motion", "recordings"] = "loop"
+    kind: Literal["loop", "motion", "recordings", "sitl"] = "loop"
     directory: str = ""
     delay: Drawn | None = None
+
+
+def _kind_alone(raw: Any) -> Any:
+    return {"kind": raw} if isinstance(raw, str) else raw
 
 
 class ReportKeys(_Keys):
@@ -131,7 +147,7 @@ class CampaignKeys(_Keys):
     scenario: str
     gains: str = ""
     set: list[str] = []
-    source: SourceKeys = SourceKeys()
+    source: Annotated[SourceKeys, BeforeValidator(_kind_alone)] = SourceKeys()
     flights: int = Field(ge=1, le=MAX_FLIGHTS)
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
     schemes: list[str] | Literal["all"] = []
@@ -181,11 +197,14 @@ def load_campaign(
     recordings: Path | None = None,
     seed: int | None = None,
     engine: str | None = None,
+    assignments: Sequence[str] = (),
+    build: Callable[[Document], Scenario] | None = None,
 ) -> Campaign:
     """Load a campaign file; a `ScenarioError` has one line for each problem.
 
     ``flights`` and ``seed`` count in place of the file's, ``recordings`` in place of its source's directory.
     ``engine`` flies it; None: JAX flies a closed loop where it has an accelerator, and C all else.
+    ``assignments`` come after those of ``set``. Who flies firmware gives ``build``, which knows its keys.
     """
     document = read_document(path)
     for key, value in {"flights": flights, "seed": seed}.items():
@@ -195,14 +214,16 @@ def load_campaign(
         keys = CampaignKeys.model_validate(document.data)
     except ValidationError as error:
         raise document.error(problems_of(error, _model_at)) from None
-    base, scenario = _read_scenario(document, keys)
+    if found := [*_find_not_flown(keys, build is not None)]:
+        raise document.error(found)
+    base, scenario = _read_scenario(document, keys, assignments, build or build_scenario)
     # what contradicts the source of the samples
     problems, bags = [*_find_unknown_parts(keys, scenario)], tuple[Path, ...]()
     is_loop = keys.source.kind == "loop"
     if engine == JAX and not is_loop:
         said = f"{keys.source.kind}: expected 'loop', which alone flies in JAX"
         problems.append(Problem(("source", "kind"), said))
-    if scenario.plant.flies and keys.source.kind != "loop":
+    if scenario.plant.flies and keys.source.kind not in ("loop", SITL):
         said = f"{keys.source.kind}: expected 'loop', as a free flight has no motion without its loop"
         problems.append(Problem(("source", "kind"), said))
     if keys.source.kind == "recordings":
@@ -253,13 +274,19 @@ def _expand_paths(keys: CampaignKeys, base: Document, problems: list[Problem]) -
     return expanded
 
 
-def _read_scenario(document: Document, keys: CampaignKeys) -> tuple[Document, Scenario]:
+def _read_scenario(
+    document: Document,
+    keys: CampaignKeys,
+    assignments: Sequence[str],
+    build: Callable[[Document], Scenario],
+) -> tuple[Document, Scenario]:
     """Read the scenario that all flights are made of."""
     beside = Path(document.source).parent / keys.scenario
     is_file = beside.suffix in (".yaml", ".yml") and beside.is_file()
     try:
-        base = changed_document(beside if is_file else find_scenario(keys.scenario), keys.set, keys.gains)
-        return base, build_scenario(base)
+        path = beside if is_file else find_scenario(keys.scenario)
+        base = changed_document(path, [*keys.set, *assignments], keys.gains)
+        return base, build(base)
     except ScenarioError as error:
         raise document.error(Problem(("scenario",), each) for each in str(error).splitlines()) from None
 
@@ -269,6 +296,20 @@ def bags_in(directory: Path) -> tuple[Path, ...]:
     if (directory / "metadata.yaml").is_file():
         return (directory,)
     return tuple(sorted(path.parent for path in directory.glob("*/metadata.yaml")))
+
+
+def _find_not_flown(keys: CampaignKeys, by_firmware: bool) -> Iterator[Problem]:
+    """Yield what a firmware does not fly, or, unless ``by_firmware``, what nothing else does."""
+    kind = keys.source.kind
+    if (kind == SITL) != by_firmware:
+        said = f"expected {SITL}, to fly a firmware" if by_firmware else "a firmware flies it: quadftc sitl"
+        yield Problem(("source",), f"{kind}: {said}")
+    elif by_firmware:
+        for key in NOT_IN_SITL:
+            if key in keys.model_fields_set:
+                yield Problem((key,), f"does not go with 'source: {SITL}'")
+        if keys.schemes == ALL or len(keys.schemes) > 1:
+            yield Problem(("schemes",), "expected one, whose observer runs beside the firmware")
 
 
 def _find_unknown_parts(keys: CampaignKeys, scenario: Scenario) -> Iterator[Problem]:

@@ -14,7 +14,7 @@ from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.distributions import GRID, Value, plain
 from quadftc_campaign.errors import CampaignError
 from quadftc_flight.closed_loop import loop_of
-from quadftc_flight.scenario import MAX_SEED, Scenario, ScenarioError, build_scenario
+from quadftc_flight.scenario import MAX_SEED, Document, Scenario, ScenarioError, build_scenario
 from quadftc_sim.assembly import sample_count
 from quadftc_sim.injection import RESERVED
 
@@ -53,17 +53,24 @@ def variant_of(campaign: Campaign, name: str | None) -> Variant:
     raise CampaignError(f"{campaign.document.source}: no variant '{name}'; there are: {there}")
 
 
+def flight_document(campaign: Campaign, number: int) -> Document:
+    """Return the scenario of flight ``number`` as plain data, its schemes as they are; raises as below."""
+    if not 0 <= number < campaign.flights:
+        last = campaign.flights - 1
+        raise CampaignError(f"{campaign.document.source}: no flight {number}; there are 0 to {last}")
+    values = {path: _schedule(campaign, path, value) for path, value in drawn(campaign, number).items()}
+    document = campaign.base.with_values(values, f"flight {number}")
+    document.data["name"] = f"{campaign.name[:48]}_flight_{number}"
+    return document
+
+
 def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenario:
     """Build the scenario of flight ``number``, with the scheme of a variant alone.
 
     A `CampaignError` says that the campaign has no such flight, a `ScenarioError` what is wrong in which.
     """
-    if not 0 <= number < campaign.flights:
-        last = campaign.flights - 1
-        raise CampaignError(f"{campaign.document.source}: no flight {number}; there are 0 to {last}")
     try:
-        values = {path: _schedule(campaign, path, value) for path, value in drawn(campaign, number).items()}
-        document = campaign.base.with_values(values, f"flight {number}")
+        document = flight_document(campaign, number)
         scheme = dict(document.data["schemes"][variant.scheme])
         parts = {"observer": (variant.observer, variant.parameters), "controller": (variant.controller, ())}
         for role, (kind, parameters) in parts.items():
@@ -71,7 +78,6 @@ def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenar
                 scheme[role] = _replace(scheme.get(role), kind, parameters)
         scheme["checks"] = []
         document.data["schemes"] = {variant.scheme: scheme}
-        document.data["name"] = f"{campaign.name[:48]}_flight_{number}"
         return build_scenario(document)
     except ScenarioError as error:
         lines = (f"flight {number}: {line}" for line in str(error).splitlines())

@@ -1,6 +1,7 @@
 """The report of many flights: each fault, what is faulty against what is named, sizes that kill.
 
-Flights are named after their fault in the catalogue, and their seed.
+Flights are named after their fault in the catalogue, and their seed; those of a campaign after what is
+faulty, and their number.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from quadftc_sitl.scoring import EARLY
 
 COLUMNS = ("fault", "flights", "autopilot", "observer", "diagnose", "survived")
 BINS, FEWEST = 4, 8  # parts of the sizes of a fault; flights of a fault whose sizes are divided
+MOST = 8  # different texts of a drawn value that are told
 NOTHING = "nothing"
 SOURCES = ("autopilot", "observer", "diagnose")
 
@@ -23,14 +25,16 @@ Flights = Sequence[Mapping[str, Any]]
 Row = tuple[str, ...]
 
 
-def markdown(summaries: Flights) -> str:
-    """Write the report for a document."""
+def markdown(summaries: Flights, drawn: Mapping[str, Mapping[str, Any]] | None = None) -> str:
+    """Write the report for a document; ``drawn`` has the values of each flight by its name, if any were."""
     flown = [each for each in summaries if "error" not in each]
     parts = [_table([COLUMNS, *table_rows(flown)])]
     for source in SOURCES:
         heading = f"First said by {'the ' * (source != 'diagnose')}{source}, by what is faulty"
         parts.append(f"{heading}:\n\n{_table(confusion_rows(flown, source))}")
     parts.append(f"What kills, by size:\n\n{_table(map_rows(flown))}")
+    if drawn:
+        parts.append(f"What kills, by what was drawn:\n\n{_table(drawn_rows(flown, drawn))}")
     return "\n".join(parts)
 
 
@@ -67,16 +71,40 @@ def map_rows(flights: Flights) -> list[Row]:
         if not known:
             rows.append((name, "-", f"{sum(not each['survived'] for each in group)} of {len(group)}"))
             continue
-        sizes = np.array([abs(each["faults"][0]["size"]) for each in known])
-        lost = np.array([not each["survived"] for each in known])
-        count = BINS if len(known) >= FEWEST else 1
-        edges = np.quantile(sizes, np.linspace(0.0, 1.0, count + 1))
-        bins = np.clip(np.searchsorted(edges, sizes, side="right") - 1, 0, count - 1)
-        for number, (low, high) in enumerate(itertools.pairwise(edges.tolist())):
-            if here := int(np.sum(bins == number)):
-                span = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-                rows.append((name, span, f"{int(lost[bins == number].sum())} of {here}"))
+        sizes = [abs(each["faults"][0]["size"]) for each in known]
+        rows += ((name, *cells) for cells in _lost_by_size(sizes, [not each["survived"] for each in known]))
     return rows
+
+
+def drawn_rows(flights: Flights, drawn: Mapping[str, Mapping[str, Any]]) -> list[Row]:
+    """Return, with a heading, how many flights were lost by each value that varies.
+
+    Numbers are divided as sizes are; of texts, those with few different ones are told.
+    """
+    rows: list[Row] = [("drawn", "value", "lost")]
+    lost = [not each["survived"] for each in flights]
+    for path in drawn[flights[0]["name"]] if flights else ():
+        values = [drawn[each["name"]][path] for each in flights]
+        if all(isinstance(value, float) for value in values):
+            rows += ((path, *cells) for cells in _lost_by_size(values, lost))
+            continue
+        words = sorted({*map(str, values)})
+        for word in words if len(words) <= MOST else ():
+            here = [gone for gone, value in zip(lost, values, strict=True) if str(value) == word]
+            rows.append((path, word, f"{sum(here)} of {len(here)}"))
+    return rows
+
+
+def _lost_by_size(values: Sequence[float], gone: Sequence[bool]) -> Iterator[tuple[str, str]]:
+    """Return spans with about as many values in each, and how many flights were lost of each."""
+    sizes, lost = np.array(values), np.array(gone)
+    count = BINS if len(sizes) >= FEWEST else 1
+    edges = np.quantile(sizes, np.linspace(0.0, 1.0, count + 1))
+    bins = np.clip(np.searchsorted(edges, sizes, side="right") - 1, 0, count - 1)
+    for number, (low, high) in enumerate(itertools.pairwise(edges.tolist())):
+        if here := int(np.sum(bins == number)):
+            span = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+            yield span, f"{int(lost[bins == number].sum())} of {here}"
 
 
 def _by_fault(summaries: Flights) -> dict[str, list[Mapping[str, Any]]]:

@@ -61,8 +61,8 @@ def flown(tmp_path, monkeypatch):
     peer.chmod(0o755)
     scenario.write_text(SCENARIO)
 
-    def fly(*options, binary=peer):
-        arguments = ["sitl", str(scenario), "--autopilot", "ardupilot", "--binary", str(binary)]
+    def fly(*options, binary=peer, file=scenario):
+        arguments = ["sitl", str(file), "--autopilot", "ardupilot", "--binary", str(binary)]
         return guarded([*arguments, "--out", str(tmp_path / "out"), *options]), tmp_path / "out" / "short"
 
     return fly
@@ -104,6 +104,24 @@ def test_guardian_lands_the_vehicle_and_its_decision_is_in_summary_and_bag(flown
     assert not [each for each in found["autopilot_said"] if each["words"] == "disarmed" and each["serious"]]
     assert "offset: land, MAV_RESULT_ACCEPTED" in capsys.readouterr().out
     assert read_bag(folder / "bag").topics["/diagnostics"].count == len(found["guardian"]["decisions"])
+
+
+def test_campaign_is_flown_once_and_its_report_says_what_was_drawn(flown, tmp_path, capsys):
+    file = tmp_path / "campaign.yaml"
+    file.write_text(
+        "{scenario: short.yaml, source: sitl, flights: 1, set: ['autopilot={}', duration=1.5 s, "
+        "faults.0.stop=1.2 s], vary: {faults.0.axes: {grid: [y, z]}, faults.0.value: {uniform: [0.1, 0.2]}}}"
+    )
+    assert flown("--set", "faults.0.start=0.5 s", file=file)[0] == 0
+    report = (tmp_path / "out" / "catalogue.md").read_text()
+    assert "| gyro_bias | 1 | 0 of 1 | 1 of 1, " in report
+    assert "| faults.0.axes | y | 0 of 1 |" in report
+    summary = tmp_path / "out" / "gyro_bias-0" / "sitl.json"
+    before = summary.stat().st_mtime_ns
+    assert flown("--set", "faults.0.start=0.5 s", "--resume", file=file)[0] == 0
+    assert summary.stat().st_mtime_ns == before
+    assert flown("--set", "faults.0.start=0.6 s", "--resume", file=file)[0] == 2
+    assert "was flown with other inputs" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

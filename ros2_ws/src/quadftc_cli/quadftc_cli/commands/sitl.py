@@ -21,7 +21,8 @@ def sitl(
     scenario: Annotated[
         str,
         Argument(
-            help="Scenario of free flight: a file, or a name.", autocompletion=options.complete_scenario
+            help="Scenario of free flight: a file, or a name. Or a campaign file with 'source: sitl'.",
+            autocompletion=options.complete_scenario,
         ),
     ],
     autopilot: Annotated[Literal["ardupilot", "px4"], Option(help="Whose firmware it is.")],
@@ -44,10 +45,13 @@ def sitl(
         bool, Option("--catalogue", help="Fly all of the scenario's catalogue, not the scenario.")
     ] = False,
     only: Annotated[
-        str, Option(help="Of the catalogue, the flights of these names, such as 'gyro_*'.")
+        str, Option(help="Of the catalogue or campaign, the flights of these names, such as 'gyro_*'.")
     ] = "*",
     seeds: Annotated[
-        int | None, Option(min=1, help="Flights of each fault of the catalogue, in place of what it says.")
+        int | None,
+        Option(
+            min=1, help="Flights of each fault of the catalogue, or of the campaign, in place of its own."
+        ),
     ] = None,
     jobs: Annotated[int, Option(min=1, help="Flights side by side.")] = 1,
     resume: Annotated[bool, Option("--resume", help="Keep the flights that were flown before.")] = False,
@@ -66,25 +70,23 @@ def sitl(
     junit: options.JunitOption = None,
 ) -> None:
     """Let a real autopilot's firmware fly a scenario with faults; say what it noticed and what came of it."""
-    from quadftc_flight.scenario import changed_document, find_scenario
+    from quadftc_flight.scenario import find_scenario
     from quadftc_sitl import catalogue as flights
-    from quadftc_sitl.plan import plan_of, plans_of_catalogue, read_parameters
+    from quadftc_sitl.plan import read_parameters
+    from quadftc_sitl.sitl_campaign import flights_of_file
 
-    if live and catalogue:
-        raise ValueError("--live: shows one flight; --catalogue does not go with it")
+    path = find_scenario(scenario)
     if not binary.is_file():
         raise ValueError(f"{binary}: no such file; expected the firmware's simulation")
-    overrides = [*set_, *([f"seed={seed}"] if seed else [])]
-    overrides += [f"autopilot.guard.actions.{each}" for each in guard]
-    document = changed_document(find_scenario(scenario), overrides)
+    changes = [*set_, *(f"autopilot.guard.actions.{each}" for each in guard)]
     given = {name: value for file in parameters for name, value in read_parameters(file).items()}
-    if catalogue:
-        every = plans_of_catalogue(document, scheme, seeds, autopilot)
-        plans = [plan for plan in every if fnmatch.fnmatch(plan.name.rpartition("-")[0], only)]
-        if not plans:
-            raise ValueError(f"--only {only}: no such flight in the catalogue")
-    else:
-        plans = [plan_of(document, scheme, autopilot)]
+    plans, drawn = flights_of_file(path, autopilot, scheme, catalogue, seeds, seed, changes)
+    if live and drawn is not None:
+        raise ValueError("--live: shows one flight; a campaign or --catalogue does not go with it")
+    if drawn is not None:
+        plans = [plan for plan in plans if fnmatch.fnmatch(plan.name.rpartition("-")[0], only)]
+    if not plans:
+        raise ValueError(f"--only {only}: no such flight in {scenario}")
     todo = [flights.job_of(plan, binary.resolve(), given, out.resolve(), engine) for plan in plans]
     if force and not resume:
         for job in todo:
@@ -99,27 +101,31 @@ def sitl(
         with Bars(screen) as bars:
             update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
             found = flights.fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
-    if catalogue and (lost := flights.write_lost(todo, found, out)):
+    if drawn is not None and (lost := flights.write_lost(todo, found, out)):
         say(f"lost, one scenario each: {lost[0].parent}")
-    raise typer.Exit(_show(found, out, screen, junit, catalogue))
+    raise typer.Exit(_show(found, out, screen, junit, drawn))
 
 
 def _show(
-    summaries: Sequence[Mapping[str, Any]], out: Path, screen: Any, junit: Path | None, catalogue: bool
+    summaries: Sequence[Mapping[str, Any]],
+    out: Path,
+    screen: Any,
+    junit: Path | None,
+    drawn: Mapping[str, Mapping[str, Any]] | None,
 ) -> int:
-    """Print what became of flights, write the table of a catalogue, and return the exit code."""
+    """Print what became of flights, write the report of many (``drawn`` not None), return the exit code."""
     from quadftc_cli.judging import judge
     from quadftc_flight.junit import write_file
     from quadftc_sitl.sitl_report import COLUMNS, markdown, table_rows
 
     flown = [each for each in summaries if "error" not in each]
     failed = [each for each in summaries if "error" in each]
-    if catalogue and flown:
+    if drawn is not None and flown:
         table = plain_table(COLUMNS[:1], COLUMNS[1:])
         for row in table_rows(flown):
             table.add_row(*row)
         screen.print(table)
-        say(f"report: {write_file(out / 'catalogue.md', markdown(flown))}")
+        say(f"report: {write_file(out / 'catalogue.md', markdown(flown, drawn))}")
     elif flown:
         _show_flight(flown[0])
     code = 0
