@@ -2,15 +2,15 @@
 
 >>> flights = campaign_flights(Path("campaigns/sitl_hover.yaml"), "ardupilot")
 >>> flights[0].plan.name, flights[0].drawn
-('gyro_stuck-0', {'faults.0': 'stuck channel=gyro axes=y stop=13s', 'faults.0.start': 4.84..., ...})
+('gyro_stuck-0', {'faults.0.kind': 'stuck', ..., 'faults.0.start': 4.84..., 'wind.1.wind_speed': 7.55...})
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.distributions import plain
@@ -51,9 +51,19 @@ def campaign_flights(
     for number in range(campaign.flights):
         document = flight_document(campaign, number)
         document.data["name"] = f"{_faulty(plan_of(document, scheme, autopilot))}-{number}"
-        values = {key: plain(each) for key, each in drawn(campaign, number).items() if key != SEED}
+        values = dict(_told(drawn(campaign, number)))
         found.append(CampaignFlight(plan_of(document, scheme, autopilot), values))
     return found
+
+
+def _told(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield what the report tells of drawn values; of components texts, as their numbers differ in unit."""
+    for path, value in values.items():
+        if isinstance(value, Mapping):
+            parts = ((key, plain(each)) for key, each in cast("Mapping[str, Any]", value).items())
+            yield from ((f"{path}.{key}", each) for key, each in parts if not isinstance(each, float))
+        elif path != SEED:
+            yield path, plain(value)
 
 
 def _faulty(plan: SitlPlan) -> str:

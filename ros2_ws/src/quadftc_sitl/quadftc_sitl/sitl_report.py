@@ -82,16 +82,17 @@ def drawn_rows(flights: Flights, drawn: Mapping[str, Mapping[str, Any]]) -> list
     Numbers are divided as sizes are; of texts, those with few different ones are told.
     """
     rows: list[Row] = [("drawn", "value", "lost")]
-    lost = [not each["survived"] for each in flights]
-    for path in drawn[flights[0]["name"]] if flights else ():
-        values = [drawn[each["name"]][path] for each in flights]
+    for path in dict.fromkeys(path for each in flights for path in drawn[each["name"]]):
+        here = [each for each in flights if path in drawn[each["name"]]]
+        values = [drawn[each["name"]][path] for each in here]
+        lost = [not each["survived"] for each in here]
         if all(isinstance(value, float) for value in values):
             rows += ((path, *cells) for cells in _lost_by_size(values, lost))
             continue
         words = sorted({*map(str, values)})
         for word in words if len(words) <= MOST else ():
-            here = [gone for gone, value in zip(lost, values, strict=True) if str(value) == word]
-            rows.append((path, word, f"{sum(here)} of {len(here)}"))
+            gone = [each for each, value in zip(lost, values, strict=True) if str(value) == word]
+            rows.append((path, word, f"{sum(gone)} of {len(gone)}"))
     return rows
 
 

@@ -21,6 +21,7 @@ def test_flight_of_a_campaign_is_the_same_whatever_their_number():
     winds = {each.drawn["wind.1.wind_speed"] for each in flights}
     assert len(winds) == 4
     assert winds == {each.plan.raw["wind"][1]["wind_speed"] for each in flights}
+    assert [each.drawn.get("faults.0.axes") for each in flights] == ["y", "x", "y", None]
     assert campaign_flights(OURS, "ardupilot", 1, seed=2)[0].drawn != flights[0].drawn
 
 
@@ -54,7 +55,9 @@ def test_what_kills_is_told_by_each_value_that_varies():
         f"a-{number}": {"size": float(number), "axis": "xy"[number % 2], "fault": f"bias {number / 7}"}
         for number in range(8)
     }
+    drawn["a-7"]["rotor"] = 2  # not drawn for the others
     drawn |= {"a-8": {"size": 99.0, "axis": "z", "fault": ""}}  # not flown
     rows = drawn_rows(flights, drawn)[1:]
     assert [row[2] for row in rows[:4]] == ["0 of 2", "0 of 2", "0 of 2", "2 of 2"]
     assert rows[4:6] == [("axis", "x", "1 of 4"), ("axis", "y", "1 of 4")]
+    assert rows[-1] == ("rotor", "2", "1 of 1")
