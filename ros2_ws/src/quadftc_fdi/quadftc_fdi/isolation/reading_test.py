@@ -133,7 +133,7 @@ SHORT, LONG = 0.06, 0.4  # s; averages of the deviation of a faulty sensor
 MOVED = 25.0  # 1; squared difference of the two, in variances of the longer, that starts it again
 SCATTER = 3.0  # 1; squared changes, in variances, of a sensor that is healthy again, at most
 BACK = 0.5  # 1; share of its peak to which a fault must have come back
-QUICK, SOONEST, LATEST = 0.3, 0.3, 1.0  # 1, s, s; share of a fault's age for which it must agree; bounds
+QUICK, SOONEST, LATEST = 0.3, 0.3, 0.6  # 1, s, s; share of a fault's age for which it must agree; bounds
 
 
 class Deviation(NamedTuple):
