@@ -112,7 +112,7 @@ def _schedule(campaign: Campaign, path: str, value: Value) -> Value:
     place, _, index = path.partition(".")
     if place != "faults" or not index.isdecimal() or not isinstance(value, dict):
         return value
-    there: list[dict[str, Any]] = campaign.base.data[place]
+    there: list[dict[str, Any]] = campaign.base.data.get(place, [])
     kept = there[int(index)] if int(index) < len(there) else {}
     return {**{key: each for key, each in kept.items() if key in RESERVED}, **cast("dict[str, Any]", value)}
 

@@ -184,6 +184,16 @@ def test_a_path_that_leads_nowhere_is_refused_before_anything_flies(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_fault_that_is_drawn_for_a_scenario_without_faults_is_refused(tmp_path):
+    lines = (line for line in ALIKE.splitlines() if "faults.0" not in line)
+    drawn_fault = "  faults.0: {choice: [{kind: stuck, axes: roll, start: 0.1 s}]}"
+    text = "\n".join([*lines, drawn_fault]).replace("[duration=0.4 s]", "[duration=0.4 s, 'faults=[]']")
+    campaign = written(tmp_path, text)
+    del campaign.base.data["faults"]
+    with pytest.raises(ScenarioError, match=r"flight 0.*faults"):
+        flight_scenario(campaign, 0, campaign.variants[0])
+
+
 def test_a_flight_depends_on_its_number_alone(campaign, tmp_path):
     (tmp_path / "more").mkdir()
     more = written(
