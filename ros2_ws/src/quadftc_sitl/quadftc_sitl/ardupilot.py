@@ -42,7 +42,7 @@ class ArduPilot(Autopilot):
     """ArduCopter."""
 
     name, title = "ardupilot", "ArduPilot"
-    sensors: Any = {"position_sensor": False, "mag.rate": 0.0, "baro.rate": 0.0}
+    sensors: Any = {"mag.rate": 0.0, "baro.rate": 0.0}
 
     def rate(self, plan: SitlPlan) -> float:
         """Return the rate [Hz] of physics and IMU: twice its loop, or the scenario's if that is higher."""

@@ -115,7 +115,8 @@ class Physics:
             return None
         rotors = RotorReading(shown.command, self._speeds[0], np.True_)
         stamp_ns = shown.emission.sample_stamp_ns
-        estimate = self._diagnosis.diagnose(stamp_ns, shown.injected.sample, rotors=rotors)
+        place = None if self.plan.scenario.position_sensor is None else shown.emission.place
+        estimate = self._diagnosis.diagnose(stamp_ns, shown.injected.sample, rotors=rotors, place=place)
         return None if estimate is None else (estimate, self._diagnosis.report(stamp_ns, estimate))
 
     def _simulator(self, rate: float) -> Simulator:
