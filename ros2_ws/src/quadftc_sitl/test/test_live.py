@@ -50,8 +50,8 @@ def test_fault_by_hand_is_in_truth_and_bag_and_ctrl_c_lands(tmp_path, monkeypatc
 
     def touch():
         with LiveGraph() as graph:
-            page.update(page_of_running(graph))
             assert begun.wait(300.0)
+            page.update(page_of_running(graph))
             wanted = {"kind": "bias", "channel": "gyro", "axes": ["y"], "duration": 60.0}
             wanted |= {"parameter_names": ["value"], "parameter_values": [0.3]}
             graph.call("fault_injector/inject", InjectFault, InjectFault.Request(**wanted))

@@ -89,7 +89,7 @@ def _values(graph: LiveGraph, node: str, *names: str, missing: Any = None) -> li
     """Return parameters of a node; for one that it does not have ``missing``, or a GraphError."""
     request = GetParameters.Request(names=list(names))
     values = graph.call(f"{node}/get_parameters", GetParameters, request).values
-    given = [parameter_value_to_python(value) for value in values]
+    given = [parameter_value_to_python(value) for value in values] or [None] * len(names)  # one is unknown
     found = [missing if value is None else value for value in given]
     if None in found:
         raise GraphError(f"{node} has no parameter {names[found.index(None)]}")

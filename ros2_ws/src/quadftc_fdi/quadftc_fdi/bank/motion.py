@@ -109,7 +109,7 @@ def predict(
     rate = clip(state.rate + (known + state.unknown) * step, -MAX_BODY_RATE, MAX_BODY_RATE)
     turning = gyro - state.bias if repeats_gyro else 0.5 * (state.rate + rate)
     drive = noise.unknown * (1.0 - keep**2)
-    loose = where(column(driven), between**2 / 12.0, UNDRIVEN**2) * step**2  # uniform
+    loose = where(column(driven), (0.5 * between) ** 2 / 3.0, UNDRIVEN**2) * step**2  # uniform
     wander = (noise.wander + (SMEAR * norm(state.rate)) ** 2) * step
     Q = stacked([wander, walk**2 * step, drive * step**2 / 3.0 + loose, drive, *[zeros] * 4])
     P = _moved(_moved(state.covariance, repeats_gyro, dt).swapaxes(-1, -2), repeats_gyro, dt)
