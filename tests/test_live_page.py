@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from browser import start_browser
 
+from quadftc_bags.bag import read_bag
 from quadftc_cli.live_page import charts
 from quadftc_cli.live_page.feed import Feed, receive
 from quadftc_cli.live_page.flying import Wish, fly_live, page_of, plan_of, scenario_of
 from quadftc_cli.live_page.picture import Picture, amount
+from quadftc_flight.live_run import live_run
 from quadftc_model.samples import FAULTY, ComponentFault, DiagnosisReport, level_sample
 from quadftc_model.vehicle import load_vehicle
 from quadftc_ros.diagnosis_wire import DiagnosisWire
@@ -206,3 +208,4 @@ def test_fault_is_injected_by_its_button_and_found(flown):
     written = [record, *record.rglob("*")]
     assert len(written) > 1
     assert [path for path in written if path.stat().st_mode & 0o077] == [], "the user's alone"
+    assert [event[:2] for event in live_run(read_bag(record)).events] == [("roll", "step")]

@@ -1,15 +1,17 @@
 """A flight that was recorded live, without a scenario: by a recorder, or by ``ros2 bag record``.
 
 What the bag tells stands for the scenario: its length, its rate, the faults on fault/injected and
-rotors/fault. Parts and vehicle are those of ``parameters.yaml`` in or beside the bag, else the nodes'
-defaults. Times are those of the samples, which fall behind the clock of the machine when it is too slow.
+rotors/fault, whose kinds the fault injector says on /diagnostics. Parts and vehicle are those of
+``parameters.yaml`` in or beside the bag, else the nodes' defaults. Times are those of the samples, which fall
+behind the clock of the machine when it is too slow.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 
 from quadftc_bags.bag import Bag, BagError
 from quadftc_flight.fault_schedule import (
+    KINDS,
     SENSORS,
     UNKNOWN_KIND,
     FaultEvent,
@@ -58,6 +61,8 @@ VEHICLE = "qball_x4"  # default of the nodes
 SCHEME = "live"
 GAP = 0.5  # s; a fault that is zero for less goes on: a sine, spikes
 ZERO = 1e-9  # SI; less is no fault
+DIAGNOSTICS = "diagnostics"
+ACTING = re.compile(r"(\w+) on (\w+) (.+) until")  # kind, channel, elements of a fault that acts
 COLUMNS = dict(zip(SENSORS, ("fault", "gyro_fault", "accelerometer_fault"), strict=True))
 
 Floats = NDArray[np.float64]
@@ -103,7 +108,7 @@ def live_run(bag: Bag) -> LiveRun:
     parameters = _parameters(bag, warnings)
     flight = flight_from_bag(bag)
     scenario = _scenario(bag, parameters, flight)
-    events, of_rotors = events_of(flight), rotor_events_of(flight)
+    events, of_rotors = (with_kinds(bag, found) for found in (events_of(flight), rotor_events_of(flight)))
     windows = merge_windows(
         FaultWindow(event.start, event.stop, (event.axis,)) for event in attitude_events(events)
     )
@@ -150,6 +155,29 @@ def rotor_events_of(flight: Flight) -> tuple[FaultEvent, ...]:
         for start, stop in _spans(flight.time, faulty)
     ]
     return tuple(sorted(found, key=lambda event: event.start))
+
+
+def with_kinds(bag: Bag, events: Iterable[FaultEvent]) -> tuple[FaultEvent, ...]:
+    """Give events the kinds that the fault injector said meanwhile; without its words they keep theirs."""
+    told: list[tuple[float, re.Match[str]]] = []  # time of flight [s]
+    if has_messages(bag, DIAGNOSTICS):
+        series, samples = bag.series(DIAGNOSTICS), bag.series("imu/data")
+        times = flight_times(series.log_time_ns, samples.log_time_ns, samples.stamp_ns)
+        for time, statuses in zip(times.tolist(), series["status"], strict=True):
+            pairs = [pair for each in statuses if each.name.endswith(": faults") for pair in each.values]
+            told += [(time, words) for pair in pairs if (words := ACTING.match(pair.value))]
+
+    def kind_of(event: FaultEvent) -> str:
+        kinds = dict.fromkeys(
+            KINDS.get(words[1], words[1])
+            for time, words in told
+            if event.start <= time <= event.stop
+            and words[2] == event.component
+            and event.axis in words[3].split(", ")
+        )
+        return "+".join(kinds) or event.kind
+
+    return tuple(event._replace(kind=kind_of(event)) for event in events)
 
 
 def flight_times(log_ns: Stamps, sample_log_ns: Stamps, sample_stamp_ns: Stamps) -> Floats:

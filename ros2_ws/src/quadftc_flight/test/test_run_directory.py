@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from mcap.writer import Writer
 from rclpy.qos import QoSProfile
@@ -21,6 +22,7 @@ from std_msgs.msg import Header
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_flight.live_run import (
     PARTS,
@@ -30,6 +32,7 @@ from quadftc_flight.live_run import (
     is_live,
     live_run,
     rotor_events_of,
+    with_kinds,
 )
 from quadftc_flight.run_directory import MissingPartError, find_runs, read_run
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
@@ -360,6 +363,31 @@ def test_rotor_is_faulty_while_its_thrust_is_not_that_of_a_healthy_one(flight):
     (event,) = rotor_events_of(dataclasses.replace(flight, rotor_effectiveness=effectiveness))
     assert (event.axis, event.component) == ("2", "rotor")
     assert event[2:4] == pytest.approx((0.3, 0.7), abs=0.011)
+
+
+def test_kind_of_a_fault_is_what_the_injector_said_while_it_acted(tmp_path):
+    said = {  # s: what acts then
+        4: ["bias on attitude roll, pitch until 9 s", "stuck on gyro roll until inf s"],
+        6: ["bias on attitude roll, pitch until 9 s", "sine on attitude roll until 9 s"],
+        12: ["loss on rotor 2 until inf s"],
+    }
+    topics = {"/a/imu/data": "sensor_msgs/msg/Imu", "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic, type_name in topics.items():
+            writer.add_topic(topic, type_name, QoSProfile(depth=10))
+        for second in range(20):  # the clock of the machine runs twice as fast as the flight
+            imu = Imu(header=Header(stamp=Time(sec=100 + second)))
+            values = [KeyValue(key=str(k), value=words) for k, words in enumerate(said.get(second, ()))]
+            told = DiagnosticArray(status=[DiagnosticStatus(name="a/fault_injector: faults", values=values)])
+            for topic, message in zip(topics, (imu, told), strict=True):
+                at = (200 + 2 * second) * 10**9
+                writer.write(topic, serialize_message(message), at, at)
+    sensor = [("roll", "fault", 3.0, 7.0), ("pitch", "fault", 5.0, 7.0), ("yaw", "fault", 3.0, 7.0)]
+    events = [FaultEvent(*each) for each in sensor]
+    events += [FaultEvent("2", "fault", *span, "rotor") for span in ((10.0, 15.0), (16.0, 19.0))]
+    found = with_kinds(read_bag(tmp_path / "bag"), events)
+    assert [event.kind for event in found] == ["step+sine", "step", "fault", "loss", "fault"]
+    assert [event._replace(kind="fault") for event in found] == events
 
 
 def test_time_of_flight_is_that_of_the_samples_where_the_machine_is_behind():

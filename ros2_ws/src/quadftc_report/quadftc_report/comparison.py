@@ -191,7 +191,7 @@ def list_injections(run: Recorded) -> list[Injection]:
     if isinstance(run, LiveRun):
         other = [event for event in run.fault_events if event.component != "attitude"]
         lines += [
-            (_when(event, end), f"{event.component}: {event.axis}", "fault, in the recording")
+            (_when(event, end), f"{event.component}: {event.axis}", f"{event.kind}, in the recording")
             for event in (*other, *run.rotor_events)
         ]
         lines += [(f"at {each.time:.2f} s", "setpoint", each.text) for each in run.setpoints]

@@ -245,9 +245,9 @@ def test_injections_are_told_with_time_place_and_size(three, scenario, runs):
 def test_faults_of_a_live_flight_are_those_that_were_recorded():
     run = made_run(parse_scenario(HEALTHY), "only")
     known = {each.name: getattr(run, each.name) for each in dataclasses.fields(run)}
-    event = FaultEvent("2", "fault", 0.1, 0.3, "rotor")
+    event = FaultEvent("2", "loss", 0.1, 0.3, "rotor")
     live = LiveRun(**known, events=(), rotor_events=(event,), setpoints=())
-    assert list_injections(live) == [("0.1 to 0.3 s", "rotor: 2", "fault, in the recording")]
+    assert list_injections(live) == [("0.1 to 0.3 s", "rotor: 2", "loss, in the recording")]
     assert [shade[:2] for shade in rotor_shades(live, 1, 0.5)] == [(0.1, 0.3)]
     assert rotor_shades(live, 0, 0.5) == ()
 

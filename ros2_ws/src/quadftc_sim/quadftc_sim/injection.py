@@ -50,6 +50,12 @@ class Injection:
     stop: float
     law: Any  # a `Fault`, or a `RotorFault`
 
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """What it is on: axes, named as roll, pitch, yaw on every sensor, or rotors, numbered from 1 on."""
+        faulty, axes = np.flatnonzero(self.mask).tolist(), tuple(AXES)
+        return tuple(str(row + 1) if self.channel == ROTOR else axes[row] for row in faulty)
+
     def for_period(self, period: float) -> Injection:
         """Return the injection for samples that are ``period`` [s] apart: itself, if it is one for any."""
         law = self.law if self.channel == ROTOR else self.law.for_period(period)

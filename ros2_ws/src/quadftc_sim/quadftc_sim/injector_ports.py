@@ -90,7 +90,7 @@ class InjectorPorts:
     def status(self) -> tuple[bytes, str, dict[str, str]]:
         """Return level, words and values of a report on the faults that act."""
         active = {
-            str(number): f"{fault.kind} on {fault.channel} until {fault.stop:g} s"
+            str(number): f"{fault.kind} on {fault.channel} {', '.join(fault.elements)} until {fault.stop:g} s"
             for number, fault in self.injector.active.items()
         }
         return WARN if active else OK, f"{len(active)} faults act", active

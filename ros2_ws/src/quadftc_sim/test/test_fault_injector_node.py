@@ -241,7 +241,8 @@ def test_diagnostics_name_the_faults_that_act(injector):
     injector.bench.until(lambda: injector.status["fault_injector: faults"].level == DiagnosticStatus.WARN)
     said = injector.status["fault_injector: faults"]
     assert (said.message, said.hardware_id) == ("1 faults act", "vehicle")
-    assert {pair.key: pair.value for pair in said.values} == {"1": "bias on attitude until 0.004 s"}
+    words = "bias on attitude roll, pitch, yaw until 0.004 s"
+    assert {pair.key: pair.value for pair in said.values} == {"1": words}
     injector.step()
     injector.bench.until(lambda: injector.status["fault_injector: faults"].level == DiagnosticStatus.OK)
 

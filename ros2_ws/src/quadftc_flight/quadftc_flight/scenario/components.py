@@ -59,16 +59,12 @@ class Fault:
     @property
     def axes(self) -> tuple[str, ...]:
         """The axes it is on, named as roll, pitch, yaw on every sensor; none of a fault on rotors."""
-        if self.injection.channel == ROTOR:
-            return ()
-        return tuple(name for name, acts in zip(AXES, self.injection.mask, strict=True) if acts)
+        return () if self.injection.channel == ROTOR else self.injection.elements
 
     @property
     def rotors(self) -> tuple[str, ...]:
         """The rotors it is on, numbered from 1 on; none of a fault on a sensor."""
-        if self.injection.channel != ROTOR:
-            return ()
-        return tuple(str(row + 1) for row, acts in enumerate(self.injection.mask.tolist()) if acts)
+        return self.injection.elements if self.injection.channel == ROTOR else ()
 
     @property
     def spec(self) -> str:
