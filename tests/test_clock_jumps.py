@@ -14,8 +14,8 @@ from quadftc_flight.scenario import node_parameters
 from quadftc_model.rotations import wrap
 from quadftc_ros.conversions import stamp_of
 from quadftc_sim.assembly import injector_from, simulator_from
-from quadftc_tools.soak.node_flight import DISTURBANCE, SENSOR_FAULT, STOP, Hit, scenario_of
-from quadftc_tools.soak.node_judgement import BACK, LARGEST, WITHIN
+from quadftc_tools.soak.node_judgement import BACK, LARGEST, WITHIN, Hit
+from quadftc_tools.soak.nodes import DISTURBANCE, SENSOR_FAULT, STOP, scenario_of
 
 RATE = 125  # Hz
 NODES = {

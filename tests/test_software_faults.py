@@ -11,9 +11,16 @@ import random
 import pytest
 
 from quadftc_tools.soak.command import passed
-from quadftc_tools.soak.node_flight import CHANGING_FAULT, DISTURBANCE, KILL, SENSOR_FAULT, STOP, Hit
-from quadftc_tools.soak.node_judgement import Trial
-from quadftc_tools.soak.nodes import ALL, flights_of, flown
+from quadftc_tools.soak.node_judgement import KILL, Hit, Trial
+from quadftc_tools.soak.nodes import (
+    ALL,
+    CHANGING_FAULT,
+    DISTURBANCE,
+    SENSOR_FAULT,
+    STOP,
+    flights_of,
+    fly_and_judge,
+)
 
 # s; meanwhile the attitude runs on the gyro, and its error grows. A quiet machine starts a node in 1 s.
 LONGEST_AWAY = 3.0
@@ -27,7 +34,7 @@ def test_flight_goes_on_when_nodes_are_killed_and_stopped():
         Hit("disturbance_observer", KILL, DISTURBANCE),
         Hit("controller", STOP, SENSOR_FAULT),
     ]
-    trials = flown(hits, 1)
+    trials = fly_and_judge(hits, 1)
     if any(trial.void for trial in trials):
         reasons = "; ".join(trial.wrong for trial in trials if trial.void)
         pytest.skip(f"the flight was already lost before anything was hit: {reasons}")

@@ -1,9 +1,10 @@
 # pyright: basic
 """`scripts/soak endurance`: does memory, the number of open files or the rate drift in long flights?
 
-`quadftc_tools.soak.endurance_flight` flies the graph in another process. Every `LOOK` seconds this one notes
-resident memory, open files and threads of each of its processes. Growth is the slope of a straight line
-through the values after the warm-up.
+Another process, ``python -m quadftc_tools.soak.endurance MODE GRAPH RATE LENGTH MINUTES FOLDER``, repeats
+flights; each is recorded to ``FOLDER/NUMBER``, and in lock-step the time may cut the last, unless it is the
+first. Every `LOOK` seconds this one notes resident memory, open files and threads of each of its processes.
+Growth is the slope of a straight line through the values after the warm-up.
 """
 
 from __future__ import annotations
@@ -28,10 +29,12 @@ from scipy.stats import linregress
 
 from quadftc_bags.bag import read_bag
 from quadftc_flight.flight import flight_from_bag
-from quadftc_flight.graph.plan import GraphError
-from quadftc_flight.scenario import Scenario
+from quadftc_flight.graph.plan import GraphError, GraphPlan
+from quadftc_flight.runs import GRAPHS
+from quadftc_flight.scenario import Scenario, node_parameters
 from quadftc_flight.summary import summary as summary_of
-from quadftc_tools.soak.endurance_flight import scenario_of
+from quadftc_ros.scheduling import ORDINARY
+from quadftc_tools.soak.flights import best_scheduling, soak_scenario
 
 LOOK = 2.0  # s
 WARM_UP = 0.2  # of the time watched
@@ -42,6 +45,9 @@ RATE_DRIFT = 1e-3  # 1; over the whole time, in real time
 MISSING = 1e-4  # 1; share of the samples, in real time; in lock-step none
 ATTITUDE = 5.0  # deg
 RATE_WINDOW = 10.0  # s
+TOLD_EVERY = 5.0  # s
+CYCLE, REST = 60.0, 5.0  # s; in each of which both faults act and end, once the gyro bias is learned
+REFERENCE = "{kind: sine, amplitude: [3 deg, 2 deg, 5 deg], frequency: [0.7 rad/s, 0.9 rad/s, 0.5 rad/s]}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +78,19 @@ class Growth:
     wrong: str
 
 
+def scenario_of(rate: float, length: float, seed: int) -> Scenario:
+    """Flight of a length [s] at a rate [Hz]."""
+    faults: list[str] = []
+    disturbances: list[str] = []
+    for cycle in range(int(length // CYCLE)):
+        begin = REST + CYCLE * cycle
+        for fault, start in (("axes: roll, value: 2 deg", 5.0), ("axes: pitch, value: -3 deg", 10.0)):
+            first = begin + start
+            faults.append(f"kind: bias, {fault}, start: {first:g} s, stop: {first + 20.0:g} s")
+        disturbances.append(f"start: {begin + 35.0:g} s, stop: {begin + 50.0:g} s")
+    return soak_scenario(faults, disturbances, length, seed, rate, REFERENCE)
+
+
 def soak(mode: str, graph: str, rate: float, length: float, minutes: float) -> Iterator[Flown | Growth]:
     """Fly, watch, and judge.
 
@@ -81,7 +100,7 @@ def soak(mode: str, graph: str, rate: float, length: float, minutes: float) -> I
     scenario_of(rate, length, 1)
     with tempfile.TemporaryDirectory(prefix="quadftc_soak_") as folder:
         arguments = [mode, graph, f"{rate}", f"{length}", f"{minutes}", folder]
-        command = [sys.executable, "-m", "quadftc_tools.soak.endurance_flight", *arguments]
+        command = [sys.executable, "-m", __name__, *arguments]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             try:
                 yield from _watch(process, Path(folder), mode, rate, length)
@@ -176,3 +195,44 @@ def _judge(bag: Path, told: dict[str, Any], scenario: Scenario, mode: str) -> Fl
         wrong += "samples are missing; " * (missing > MISSING * len(flight))
         wrong += "not at its rate" * (max(abs(rate / scenario.rate - 1.0), abs(drift)) >= RATE_DRIFT)
     return Flown(len(flight), told["wall_s"], largest, missing, rate, drift, wrong)
+
+
+def fly_repeatedly(mode: str, kind: str, rate: float, length: float, minutes: float, folder: Path) -> None:
+    """Fly until the time is over; a flight in real time to its end."""
+    end = time.monotonic() + 60.0 * minutes
+    scheduling = best_scheduling() if mode == "realtime" else ORDINARY
+    number = 0
+    while time.monotonic() < end:
+        number += 1
+        parameters = node_parameters(scenario_of(rate, length, number))
+        plan = GraphPlan(parameters, mode, bag=folder / str(number), scheduling=scheduling)
+        told = 0.0
+        _tell(flight=number)
+
+        def cut() -> bool:
+            return mode == "lockstep" and number > 1 and time.monotonic() >= end  # noqa: B023
+
+        def follow(samples: int) -> bool:
+            nonlocal told
+            now = time.monotonic()
+            if now - told >= TOLD_EVERY:
+                told = now
+                _tell(samples=samples)
+            return not cut()
+
+        with GRAPHS[kind](plan) as graph:
+            wall = graph.run(follow)
+            recorder = graph.recorder
+            assert recorder is not None
+            status = recorder.finish()
+        _tell(flown=number, wall_s=wall, cut=cut(), dropped=sum(status.dropped.values()) + status.lost)
+
+
+def _tell(**what: object) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    chosen, of_graph, *numbers, where = sys.argv[1:]
+    fly_repeatedly(chosen, of_graph, *(float(each) for each in numbers), folder=Path(where))

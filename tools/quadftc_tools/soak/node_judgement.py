@@ -6,21 +6,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
-from rclpy.serialization import deserialize_message
 
 from quadftc_bags.bag import Bag, read_bag
 from quadftc_control.input_monitor import Mode
 from quadftc_control.transfer import TORQUE_JUMP
-from quadftc_model.rotations import wrap
 from quadftc_model.vehicle import load_vehicle
 from quadftc_ros.diagnostics import ERROR
-from quadftc_tools.soak.node_flight import KILL, Record
+from quadftc_tools.soak.flights import attitude_error, statuses
 
+KILL = "killed (SIGKILL)"
 LARGEST, LARGEST_GIVEN_UP = 5.0, 20.0  # deg; attitude error
 # without these there is nothing to fly by: zero torque until they are back, and who has to say so
 GIVES_UP = {"controller": "plant: torque", "fault_injector": "controller: mode"}
@@ -38,6 +35,25 @@ OUTPUTS = {  # by which a node is heard; others may hear it before the recorder 
     "fault_injector": ("imu/data", "imu/corrected"),
 }
 NANOSECONDS = 1e9
+
+
+@dataclasses.dataclass(frozen=True)
+class Hit:
+    """What happens in one window."""
+
+    node: str
+    action: str
+    stress: str  # what acts meanwhile
+
+
+@dataclasses.dataclass
+class Record:
+    """When a hit was made, by the wall clock; a node that was killed is back after its end."""
+
+    hit: Hit
+    begin_ns: int = 0
+    end_ns: int = 0
+    until_ns: int = 0  # end of its window
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,11 +76,7 @@ class Judge:
 
     def __init__(self, bag: Path) -> None:
         self._bag = read_bag(bag)
-        truth, wanted = self._bag.series("plant/attitude"), self._bag.series("attitude/reference")
-        self._log_ns, self._stamp_ns = truth.log_time_ns, truth.stamp_ns
-        row = np.searchsorted(wanted.stamp_ns, truth.stamp_ns, side="right") - 1
-        errors = np.abs(wrap(truth["vector"] - wanted["angles"][np.maximum(row, 0)]))
-        self._error = np.degrees(errors.max(axis=-1))
+        self._log_ns, self._error = attitude_error(self._bag)
         self._lost = list(_not_finite(self._bag))
 
     def judge(self, record: Record) -> Trial:
@@ -126,12 +138,10 @@ class Judge:
 
     def _told(self, part: str, begin_ns: float, end_ns: float) -> bool:
         """Whether an error was reported of a part, as /diagnostics names it."""
-        for _, log_time_ns, data in self._bag.messages(["/diagnostics"]):
-            if begin_ns <= log_time_ns <= end_ns:
-                statuses: Any = deserialize_message(data, DiagnosticArray).status
-                if any(each.name.endswith(part) and each.level == ERROR for each in statuses):
-                    return True
-        return False
+        return any(
+            begin_ns <= log_time_ns <= end_ns and status.name.endswith(part) and status.level == ERROR
+            for log_time_ns, status in statuses(self._bag)
+        )
 
     def _jump(self, begin_ns: int, until_ns: int) -> float:
         """Largest step of the torque at a sample at which the controller changes between flying modes.

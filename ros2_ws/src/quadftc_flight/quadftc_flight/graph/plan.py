@@ -57,10 +57,6 @@ class GraphPlan:
     respawn: bool = False  # in real time, as processes: restart a node that dies in flight, but not the plant
     onboard: bool = False  # without plant and fault injector, for a vehicle that exists; in real time
     remaps: tuple[str, ...] = ()  # ``imu/data:=/mavros/imu/data``, for every node and the recorder
-    # node to topics, by name, that it publishes under another name, for what stands in between (tests)
-    remapped: Mapping[str, Mapping[str, str]] = dataclasses.field(
-        default_factory=dict[str, Mapping[str, str]]
-    )
 
     @property
     def plant(self) -> PlantKind:

@@ -174,12 +174,10 @@ class ProcessGraph(Graph):
         if self.plan.namespace:
             arguments += ["-r", f"__ns:=/{self.plan.namespace.strip('/')}"]
         arguments += self.plan.remap_arguments
-        commands: dict[str, list[str]] = {}
-        for name, row in self.plan.executables.items():
-            commands[name] = [str(executable_path(*row)), *arguments, *enclave_arguments(name)]
-            for topic, other in self.plan.remapped.get(name, {}).items():
-                commands[name] += ["-r", f"{topic}:={other}"]
-        return commands
+        return {
+            name: [str(executable_path(*row)), *arguments, *enclave_arguments(name)]
+            for name, row in self.plan.executables.items()
+        }
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
