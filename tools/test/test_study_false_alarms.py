@@ -10,7 +10,7 @@ from sampling import sampled
 
 from quadftc_replay.calibration import FLIGHTS
 from quadftc_replay.inspection.found import make_finding
-from quadftc_tools.study.false_alarms import Judged, Truth, judge_seed, reliability_table
+from quadftc_tools.study.false_alarms import Judged, Truth, judge_seed, named_table, reliability_table
 from quadftc_tools.study.intervals import poisson_interval, share_interval
 
 STORED = json.loads(FLIGHTS.read_text())
@@ -50,7 +50,7 @@ class Said:
 
 
 def test_a_finding_is_true_if_component_element_and_onset_are():
-    truth = Truth("rotor", "2", 10.0)
+    truth = Truth("rotor", "2", 10.0, 1.0)
     right = make_finding("rotor", "2", "off", 10.4, probability=0.97)
     late = make_finding("rotor", "2", "off", 11.5, probability=0.96)
     other = make_finding("gyro", "x", "offset", 10.0, probability=1.0)
@@ -61,3 +61,15 @@ def test_a_finding_is_true_if_component_element_and_onset_are():
     assert judged[1].score == 1.0
     rows = [line.split(" | ")[:3] for line in reliability_table(judged).splitlines()[2:]]
     assert rows == [["| 0.95 to 0.99", "3", "1"], ["| 0.99 to 1", "1", "0"]]
+
+
+def test_a_fault_is_named_if_the_first_finding_is_true():
+    truth = Truth("gyro", "x", 10.0, -0.2)
+    told = make_finding("gyro", "x", "offset", 10.05, probability=0.97, size=-0.23, sigma=0.02)
+    large = make_finding("gyro", "x", "offset", 10.0, probability=0.97, size=0.2, sigma=0.02)
+    other = make_finding("gyro", "y", "offset", 10.0, probability=0.97)
+    verdicts = [Said(told, other), Said(large), Said(other, told), Said()]
+    judged = [Judged(1, "x500", "px4", truth, each) for each in verdicts]
+    (row,) = (line.split(" | ") for line in named_table(judged).splitlines()[2:])
+    assert row[:4] == ["| simulated PX4", "gyro", "4", "2"]
+    assert row[5:] == ["0.03 / 0.05 s", "1 |"]  # of the sizes one has the wrong sign

@@ -4,9 +4,10 @@
         [--docs docs] [--write]
 
 Random vehicles fly in free flight. Each flight is written as ArduPilot and as PX4 log it by default, read
-back and judged. As many more have a fault. The tables go into docs/diagnose.md, or onto the screen without
-``--docs``. ``--write`` stores the healthy flights for ``--false-alarms``, with some that tests fly again.
-Nothing was tuned on flights from seed 91000 on.
+back and judged. As many more have a fault. Of real logs below DATA each without a finding gets offsets of its
+sensors that last to its end. The tables go into docs/diagnose.md, or onto the screen without ``--docs``.
+``--write`` stores the healthy flights for ``--false-alarms``, with some that tests fly again. Nothing was
+tuned on flights from seed 91000 on.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -25,7 +27,8 @@ import numpy as np
 
 from quadftc_cli.screen import say
 from quadftc_replay.calibration import FLIGHTS
-from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log
+from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log, read_with_layout
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.inspection.verdict import Finding, Verdict
@@ -33,7 +36,7 @@ from quadftc_replay.overlay import faults_from
 from quadftc_replay.readers import read_log
 from quadftc_replay.writers import WRITERS
 from quadftc_tools.study.intervals import poisson_interval, share_interval
-from quadftc_tools.study.page import Tables, markdown, run_study
+from quadftc_tools.study.page import NOTHING, Tables, markdown, run_study
 from quadftc_tools.study.random_flights import Loss
 from quadftc_tools.study.simulated_logs import fly_log
 
@@ -51,11 +54,13 @@ HEALTHY = {
     "IMU moved by hand (bag)": ("broad/*/*.mcap",),
 }
 TRUTH = "ardupilot/sitl"  # of these a file says which are healthy
-CHANNELS = {  # what is put on a log: kind, channel, axes, sizes, unit
-    "gyro": ("bias", ("x", "y", "z"), (0.03, 1.0), "rad/s"),
-    "accelerometer": ("bias", ("x", "y", "z"), (0.5, 6.0), "m/s^2"),
-    "attitude": ("bias", ("roll", "pitch", "yaw"), (2.0, 20.0), "deg"),
+CHANNELS = {  # what is put on a log, to its end: axes, sizes of an offset, unit
+    "gyro": (("x", "y", "z"), (0.03, 1.0), "rad/s"),
+    "accelerometer": (("x", "y", "z"), (0.5, 6.0), "m/s^2"),
+    "attitude": (("roll", "pitch", "yaw"), (2.0, 20.0), "deg"),
 }
+REPEATS = 2  # offsets of each sensor of a real log
+SIGMAS, TENTH = 2.0, 0.1  # by which a size may be off
 
 
 class Truth(NamedTuple):
@@ -64,6 +69,7 @@ class Truth(NamedTuple):
     component: str
     element: str
     onset: float  # s
+    size: float  # [SI]; of a rotor the share of its thrust that is lost
 
     def is_told_by(self, finding: Finding) -> bool:
         """Whether a finding tells of it."""
@@ -107,25 +113,43 @@ def judge_seed(seed: int, is_faulty: bool = False) -> Iterator[Judged]:
             write(log, path)
             read, truth = read_log(path), None
             if loss is not None:
-                truth = Truth("rotor", str(flight.rotor), onset)
+                truth = Truth("rotor", str(flight.rotor), onset, loss.share)
             elif is_faulty:
-                kind, axes, (low, high), unit = CHANNELS[channel]
-                axis = str(rng.choice(axes))
-                size = low * (high / low) ** rng.random() * float(rng.choice((-1.0, 1.0)))
-                spec = f"{kind} channel={channel} axes={axis} value={size:.4g}{unit} start={onset:.3f}s"
-                read = overlay_faults(read, faults_from((), (spec,)), seed)
-                truth = Truth(channel, axis, onset)
+                read, truth = with_offset(read, channel, onset, rng, seed)
             yield Judged(seed, flight.base, name, truth, inspect(read).verdict)
 
 
+def with_offset(
+    log: FlightLog, channel: str, onset: float, rng: np.random.Generator, seed: int
+) -> tuple[FlightLog, Truth]:
+    """Put an offset of a sensor on a log, from its onset [s] to the end; return both."""
+    axes, (low, high), unit = CHANNELS[channel]
+    axis = str(rng.choice(axes))
+    size = low * (high / low) ** rng.random() * float(rng.choice((-1.0, 1.0)))
+    spec = f"bias channel={channel} axes={axis} value={size:.4g}{unit} start={onset:.3f}s"
+    si = float(np.radians(size)) if unit == "deg" else size
+    return overlay_faults(log, faults_from((), (spec,)), seed), Truth(channel, axis, onset, si)
+
+
 def judge_real(data: Path) -> Iterator[Judged]:
-    """Judge the healthy logs below a folder."""
+    """Judge the healthy logs below a folder; those without a finding also with offsets of their sensors."""
     truths: Mapping[str, Any] = json.loads((data / TRUTH / "truth.json").read_text(encoding="utf-8"))
     said = tuple(f"{TRUTH}/{name}" for name, truth in truths.items() if truth["healthy"])
     for number, (group, patterns) in enumerate(HEALTHY.items()):
         names = (*patterns, *said) if number == 0 else patterns
         for path in sorted(path for name in names for path in data.glob(name)):
-            yield Judged(0, group, "", None, diagnose_log(path, DiagnosisOptions()).verdict)
+            healthy = Judged(0, group, "", None, diagnose_log(path, DiagnosisOptions()).verdict)
+            yield healthy
+            if healthy.score == 0.0:
+                yield from _judge_with_offsets(read_with_layout(path, ""), group)
+
+
+def _judge_with_offsets(log: FlightLog, group: str) -> Iterator[Judged]:
+    rng = np.random.default_rng(zlib.crc32(log.path.name.encode()))
+    sensors = {"gyro": log.gyros, "accelerometer": log.accelerometers}
+    for channel in (channel for channel, there in sensors.items() for _ in range(REPEATS * bool(there))):
+        faulty, truth = with_offset(log, channel, rng.uniform(0.1, 0.9) * log.end, rng, 0)
+        yield Judged(0, group, "", truth, inspect(faulty).verdict)
 
 
 def healthy_table(judged: Sequence[Judged], group: str) -> str:
@@ -152,6 +176,54 @@ def _healthy_row(autopilot: str, group: str, judged: Sequence[Judged]) -> Sequen
     return name, str(flights), f"{hours:.2f}", str(wrong), share, str(findings), rate
 
 
+def named_table(judged: Iterable[Judged]) -> str:
+    """How many faults the first finding names, how late, and of how many it has the size."""
+    groups = defaultdict[tuple[str, str], list[Judged]](list)
+    for each in judged:
+        if each.truth is not None:
+            logs = f"simulated {AUTOPILOTS[each.autopilot]}" if each.autopilot else "real"
+            groups[logs, each.truth.component].append(each)
+    headings = (
+        "logs",
+        "fault of",
+        "faults",
+        "named",
+        "per cent [95 %]",
+        "onset off by, median / 90 %",
+        "size right",
+    )
+    return markdown(headings, (_named_row(*key, found) for key, found in sorted(groups.items())))
+
+
+def _named_row(logs: str, component: str, judged: Sequence[Judged]) -> Sequence[str]:
+    pairs = [
+        (each.truth, each.verdict.findings[0]) for each in judged if each.truth and each.verdict.findings
+    ]
+    named = [(truth, first) for truth, first in pairs if truth.is_told_by(first)]
+    sized = sum(
+        first.size is not None
+        and abs(first.size - truth.size) <= max(SIGMAS * (first.sigma or 0.0), TENTH * abs(truth.size))
+        for truth, first in named
+    )
+    late = [abs(first.onset_s - truth.onset) for truth, first in named]
+    times = " / ".join(f"{np.quantile(late, share):.2f}" for share in (0.5, 0.9)) + " s" if late else NOTHING
+    return (
+        logs,
+        component,
+        str(len(judged)),
+        str(len(named)),
+        _share(len(named), len(judged)),
+        times,
+        str(sized),
+    )
+
+
+def _share(hits: int, count: int) -> str:
+    """Write a share [%] with its exact interval."""
+    low, high = share_interval(hits, count)
+    return f"{100.0 * hits / count:.0f} [{100.0 * low:.0f}, {100.0 * high:.0f}]"
+
+
 def reliability_table(judged: Iterable[Judged]) -> str:
     """Of all findings, by their probability, the share that is true."""
     held = defaultdict[int, list[bool]](list)
@@ -161,10 +233,8 @@ def reliability_table(judged: Iterable[Judged]) -> str:
             held[min(number, len(BINS) - 1)].append(each.truth is not None and each.truth.is_told_by(finding))
     rows: list[Sequence[str]] = []
     for number, found in sorted(held.items()):
-        low, high = share_interval(sum(found), len(found))
         span = f"{BINS[number - 1]:g} to {BINS[number]:g}"
-        shares = f"{100.0 * sum(found) / len(found):.0f} [{100.0 * low:.0f}, {100.0 * high:.0f}]"
-        rows.append((span, str(len(found)), str(sum(found)), shares))
+        rows.append((span, str(len(found)), str(sum(found)), _share(sum(found), len(found))))
     return markdown(("probability", "findings", "true", "per cent [95 %]"), rows)
 
 
@@ -218,12 +288,13 @@ def make(options: argparse.Namespace) -> Tables:
     healthy = [each for seed in range(options.seed, middle) for each in _told(judge_seed(seed))]
     last = middle + options.faulty
     faulty = [each for seed in range(middle, last) for each in _told(judge_seed(seed, is_faulty=True))]
-    tables = {
-        "false-alarms-simulated": healthy_table(healthy, "simulated"),
-        "reliability": reliability_table((*healthy, *faulty)),
-    }
-    if options.data:
-        tables["false-alarms-real"] = healthy_table([*judge_real(options.data)], "real")
+    real = [*judge_real(options.data)] if options.data else []
+    tables = {"named": named_table((*faulty, *real))}
+    if healthy:
+        tables["false-alarms-simulated"] = healthy_table(healthy, "simulated")
+        tables["reliability"] = reliability_table((*healthy, *faulty))
+    if real:
+        tables["false-alarms-real"] = healthy_table([each for each in real if each.truth is None], "real")
     if options.write:
         FLIGHTS.write_text(json.dumps(stored(healthy, faulty), indent=1) + "\n", encoding="utf-8")
     return tables
