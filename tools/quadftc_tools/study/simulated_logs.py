@@ -1,8 +1,8 @@
 """Logs of simulated flights, as fast as the loop: what sensors and estimators of an autopilot would say.
 
-The closed loop flies in free flight. On its samples come the errors that a default log is full of: two IMUs
-with bias and noise of their own, vibration at the speeds of the rotors, whose samples alias, a receiver of
-satellites that lags and wanders, barometer, two magnetometers near currents, a battery that sags.
+The closed loop flies in free flight. Its samples get the errors that a default log is full of. Two IMUs have
+bias and noise of their own, and vibration at the speeds of the rotors, which is aliased. The receiver of
+satellites lags and wanders, two magnetometers are near currents, the battery sags. There is a barometer.
 """
 
 from __future__ import annotations

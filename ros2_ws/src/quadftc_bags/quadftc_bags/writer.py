@@ -5,11 +5,11 @@ Four times a second `BagWriter` hands everything to the operating system: a kill
 second, however slow the disk. Twice a second another thread makes the disk take it and updates
 ``metadata.yaml``, for the case of a power cut.
 
-In real time messages are stored in the order of arrival, in lock-step in the order (log time, topic), in
-chunks cut at multiples of 0.1 s of log time, with zero padding inside the messages. So two runs with the same
+In real time messages are stored in the order of arrival, in lock-step in the order (log time, topic). Chunks
+are cut at multiples of 0.1 s of log time, with zero padding inside the messages. So two runs with the same
 messages give the same file, byte by byte. A message is held for up to 0.3 s of log time, but not longer than
-0.75 s: in flights slower than 0.4 of real time crash safety comes first, and only the order within each topic
-is the same.
+0.75 s. So in flights slower than 0.4 of real time only the order within each topic is the same: crash safety
+comes first.
 """
 
 from __future__ import annotations

@@ -4,14 +4,14 @@ Free flight commands the speed of each rotor: its thrust is k speed², its react
 the effectiveness E (4, n) of the rotor thrusts F, (thrust, torque) = E F. The pseudo-inverse of E gives the F
 of least squares; for four rotors it is the only one.
 
-Where that F leaves the range of a rotor, roll and pitch come before thrust, and thrust before yaw, as a
-multirotor that keeps its tilt can still be flown (Faessler, Falanga and Scaramuzza (2017), Thrust mixing,
-saturation, and body-rate control for accurate aggressive quadrotor flight, IEEE RA-L 2(2)). Each stage is a
-linear programme so small that it has a closed form:
+Where that F leaves the range of a rotor, roll and pitch come before thrust, and thrust before yaw: a
+multirotor that keeps its tilt can still be flown. Source: Faessler, Falanga and Scaramuzza (2017), Thrust
+mixing, saturation, and body-rate control for accurate aggressive quadrotor flight, IEEE RA-L 2(2). Each stage
+is a linear programme so small that it has a closed form:
 
-1. roll and pitch are scaled together, by the largest factor that some thrust allows;
-2. thrust is the nearest that some share of the wanted yaw torque, 0 to 1, allows;
-3. yaw keeps the largest share that then fits.
+1. Roll and pitch are scaled together, by the largest factor that some thrust allows.
+2. Thrust is the nearest that some share of the wanted yaw torque, 0 to 1, allows.
+3. Yaw keeps the largest share that then fits.
 
 What fits is given exactly. More than four rotors could give a little more by forces that cancel each other;
 these are never used.

@@ -1,8 +1,8 @@
 """What the controller decides in flight: which IMU it flies on, what it commands, what it keeps for others.
 
-For each sample that comes, `InputMonitor` says which IMU is used and whether the disturbance estimate is
-trusted (the mode), `Transfer` makes the change from one IMU to another continuous, `AttitudeLoop` gives
-torque and rotor speeds, and `LastWords` keeps what both observers said last, for observers that restart.
+For each sample, `InputMonitor` says which IMU is used and whether the disturbance estimate is trusted (the
+mode). `Transfer` makes the change from one IMU to another continuous. `AttitudeLoop` gives torque and rotor
+speeds. `LastWords` keeps what both observers said last, for observers that restart.
 
 Pure: samples and stamps come in, a `Command` comes out, and `kept` collects what is published beside it.
 """

@@ -1,9 +1,9 @@
 """Reduced attitude control: the direction of the thrust is held, and yaw turns as it may.
 
 Where rotors are so weak that no yaw torque is left in hover, the vehicle will spin. The direction of its
-thrust can still be controlled: Mueller and D'Andrea (2014), Stability and control of a quadrocopter despite
-the complete loss of one, two, or three propellers, IEEE ICRA; Sun, Sijbers, Wang and de Visser (2018),
-High-speed flight of quadrotor despite loss of single rotor, IEEE RA-L 3(4).
+thrust can still be controlled. Sources: Mueller and D'Andrea (2014), Stability and control of a quadrocopter
+despite the complete loss of one, two, or three propellers, IEEE ICRA. Sun, Sijbers, Wang and de Visser
+(2018), High-speed flight of quadrotor despite loss of single rotor, IEEE RA-L 3(4).
 
 A vehicle that spins is a top. Let e be the rotation vector from body z to the wanted direction, and
 omega_t = (p, q, 0) the rate across body z. A steady omega_t takes the gyroscopic torque J_z r (q, -p, 0). The

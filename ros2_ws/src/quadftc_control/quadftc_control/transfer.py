@@ -1,20 +1,20 @@
 """Going over from one IMU to another without a jump: what the controller flies on is continuous.
 
-At the sample from which another source is used, the attitude used so far, turned on by the body rate, and the
-new source differ by a rotation delta, and their body rates by omega_o. From then on
+Another source is used from a sample on. There the attitude used so far, turned on by the body rate, differs
+from the new source by a rotation delta, and the body rates differ by omega_o. From then on
 
     q_used = q * exp(w delta / 2),   omega_used = omega + w_o omega_o
 
 with w = 1 at first. Towards imu/data, omega_o is what the diagnosis had last added to it (minus the gyro
 bias), and stays, w_o = 1. As to delta,
 
-* where the attitude was faulty, it is updated at every sample, so that the body rate alone carries the
-  attitude on, whatever becomes of the fault; after a gap in imu/data it begins with the fault as last known;
-* where it was not, it is given up at once, and found again should imu/data make a step that the body rate
+* where the attitude was faulty, delta is updated at every sample, so that the body rate alone carries the
+  attitude on. After a gap in imu/data it begins with the fault as last known;
+* where it was not, delta is given up at once. It is found again if imu/data makes a step that the body rate
   does not explain: then a fault has begun.
 
-A fault is taken off so for some time, in which a new observer can come, then given up, as errors of the body
-rate add up, and faults end. Towards imu/corrected, delta is what has come of that, given up at once.
+So a fault is taken off for some time, in which a new observer can come. Then delta is given up, as errors of
+the body rate add up, and faults end. Towards imu/corrected, delta is what has come of that, given up at once.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ looked for; P frames count again from the next I frame on. A main frame whose ti
 than 10 s, ends the chain as well.
 
 Frames have no length, so that they seem to need a loop over all bytes. Instead, all places that may begin a
-frame are followed at once, and only the chain of the true ones is a loop; the prediction works on all
+frame are followed at once, and only the chain of the true ones is a loop. The prediction works on all
 stretches from I frame to I frame at once. That decodes 30 000 frames in 0.03 s. orangebox, the reader in
 Python, takes 0.6 s and is GPL; this one is written by the format.
 Source: cleanflight/blackbox-log-viewer and betaflight, src/main/blackbox/blackbox_encoding.c,

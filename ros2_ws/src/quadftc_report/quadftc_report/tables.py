@@ -1,9 +1,9 @@
 """The tables of a comparison: the metrics of its runs side by side.
 
-There is a column for each run and axis; each number names its path in ``summary.json``. Where less
-is better, the smallest value is marked as the best; a run that does not estimate at all is never best at
-estimating. Below every number stands its change against the baseline, the first run without a fault observer
-(the last run, if each has one): ``-95 %`` is a twentieth of the baseline's value; ten times it and more is a
+There is a column for each run and axis; each number names its path in ``summary.json``. Where less is better,
+the smallest value is marked as the best; a run that does not estimate at all is never best at estimating. The
+baseline is the first run without a fault observer (the last run, if each has one). Below every number stands
+its change against the baseline: ``-95 %`` is a twentieth of the baseline's value; from ten times on it is a
 factor, ``x 25``. There is no change against a baseline of zero, or across zero.
 """
 

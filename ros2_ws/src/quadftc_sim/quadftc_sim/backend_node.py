@@ -1,9 +1,9 @@
 # pyright: basic
 """What the nodes that stand behind an autopilot's simulation share: vehicle, faults, truth, and their topics.
 
-Outputs: imu/data (with its faults, as the autopilot gets it); rotors/command and torque/command, which the
-autopilot asks for after a sample, without the rotors' lag; the truth on plant/attitude, plant/rate,
-plant/odometry, rotors/speed and wind/applied; what the fault injector says of its faults.
+Outputs: imu/data, with its faults, as the autopilot gets it. rotors/command and torque/command, which the
+autopilot asks for after a sample, without the rotors' lag. The truth on plant/attitude, plant/rate,
+plant/odometry, rotors/speed and wind/applied. What the fault injector says of its faults.
 Services: fault_injector/inject and fault_injector/clear, as of the fault injector, whose place it takes.
 """
 

@@ -2,8 +2,8 @@
 """The fault injector node: puts faults on IMU and rotors, by schedule and by service, and says what it did.
 
 Inputs: plant/imu (or a real IMU, by remapping).
-Outputs: imu/data; the truth on fault/injected (attitude [rad]), and once such a fault was asked for on
-fault/injected/gyro and fault/injected/accelerometer; fault/dropped (the stamp of each sample withheld); in
+Outputs: imu/data. The truth on fault/injected (attitude [rad]), and once such a fault was asked for on
+fault/injected/gyro and fault/injected/accelerometer. fault/dropped (the stamp of each sample withheld). In
 free flight rotors/fault, the condition of the rotors from a sample on.
 Services: ~/inject (quadftc_msgs/InjectFault), ~/clear (quadftc_msgs/ClearFault), ~/reset (std_srvs/Trigger:
 the schedule restarts with the next sample, faults injected by service are gone).

@@ -1,8 +1,8 @@
 # pyright: basic
 """The topics and services of a fault injector, for the nodes that have one.
 
-Outputs: imu/data; the truth on fault/injected (attitude [rad]), and once such a fault was asked for on
-fault/injected/gyro and fault/injected/accelerometer; fault/dropped (the stamp of each sample withheld); in
+Outputs: imu/data. The truth on fault/injected (attitude [rad]), and once such a fault was asked for on
+fault/injected/gyro and fault/injected/accelerometer. fault/dropped (the stamp of each sample withheld). In
 free flight rotors/fault, the condition of the rotors from a sample on.
 Services: inject (quadftc_msgs/InjectFault), clear (quadftc_msgs/ClearFault).
 """

@@ -157,9 +157,9 @@ def _scaled(model: LinearModel) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any
     """H0, H1 of H(s) = H0 + H1 s over the unknowns (states, others), and F, scaled.
 
     Equations, units of the unknowns and unit of time are scaled so that the logarithms of all coefficients
-    are as near zero as can be in least squares (Curtis, Reid (1972), "On the automatic scaling of matrices
-    for Gaussian elimination"). Ranks stay as they are, but rounding no longer hides them, as it would with
-    an inertia of 1e-5 kg m².
+    are as near zero as can be in least squares. Source: Curtis, Reid (1972), "On the automatic scaling of
+    matrices for Gaussian elimination". Ranks stay as they are, but rounding no longer hides them, as it would
+    with an inertia of 1e-5 kg m².
     """
     powers = np.stack([np.hstack([model.A, model.B]), np.hstack([model.E, np.zeros_like(model.B)])])
     _, equations, unknowns = powers.shape

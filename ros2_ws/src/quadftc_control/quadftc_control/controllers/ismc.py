@@ -11,9 +11,9 @@ boundary layer phi gives |S| <= phi in the end, not S = 0.
 Without observer k_c3 has to hold against the whole disturbance: where the estimate goes missing in flight,
 k_c3_alone takes over, with Phi in proportion, as noise and sampling bound k_c3 / Phi.
 
-Deviations: full kinematics (see sliding_surface); the torque is within the rotors' reach; where it is cut,
-the integral stands still if it would be driven further, and the surface moves along with S at the edge of its
-layer. Otherwise S would have to come back at the rate k_c3, with the attitude k_c3 / k_c1 off until then.
+Deviations: full kinematics (see sliding_surface); the torque is within the rotors' reach. Where it is cut,
+the integral stops if it would be driven further, and the surface moves along with S at the edge of its layer.
+Otherwise S would have to come back at the rate k_c3, with the attitude k_c3 / k_c1 off until then.
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@
 with e_p = p - p_d and e_v = v - v_d, here with z up and gains over the mass. They prove the errors to vanish
 for an attitude control of their own; here a command filter and any attitude controller follow.
 
-Deviations: the integral (Goodarzi, Lee and Lee (2013), European Control Conference, add one), which stands
-still where the limits would let it grow in vain; the error of position is bounded; tilt and thrust are; the
-yaw of Euler angles follows the trajectory, where the paper projects a heading on the plane normal to b3_d.
+Deviations: an integral, as Goodarzi, Lee and Lee (2013), European Control Conference, add one. It stops where
+the limits would let it grow in vain. The error of position, tilt and thrust are bounded. The yaw of Euler
+angles follows the trajectory; the paper projects a heading on the plane normal to b3_d.
 """
 
 from __future__ import annotations

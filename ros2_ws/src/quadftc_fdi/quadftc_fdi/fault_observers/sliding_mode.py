@@ -26,8 +26,8 @@ Time stepping. The stiff injections (18) and (26) are solved implicitly: with ev
 dt (a e+ + rho e+ / (|e+| + delta)) leaves e+ parallel to c, and |e+| is the root of a quadratic. That does
 not chatter at any step, however stiff (epsilon_s + epsilon_2) / delta is. z2^ takes the trapezoidal rule, of
 order 2. e3 takes h2 - z2^ at the new sample: its mean over the step would put f_s^ half a sample late. An
-error of order 1 is left in f_s^, dt f_s'' / 2 times delta / (epsilon_s + epsilon_2). Of h3 and h3^, which
-grow without bound, only the difference acts, and is the state.
+error of order 1 is left in f_s^, dt f_s'' / 2 times delta / (epsilon_s + epsilon_2). The state is h3 - h3^,
+as h3 and h3^ grow without bound and only their difference acts.
 """
 
 from __future__ import annotations

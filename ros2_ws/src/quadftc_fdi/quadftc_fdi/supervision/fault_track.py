@@ -165,10 +165,10 @@ def judge_recovery(
     """Judge which faulty axes are trusted again.
 
     They must look healthy for a share of the fault's age, at most for ``recovery`` [s], or have stood still
-    at the age of ``patience`` [s]. ``predicted`` [rad²] is the variance of the dead-reckoned angle,
-    ``variances`` [rad²] are those of the sensor, ``cautious`` [rad²] that of an average over 0.15 s by the
-    prior, ``bias_variance`` [rad²/s²] that of the gyro bias, at which the angle drifts, ``dt`` [s] the step.
-    ``valid`` axes are measured. What comes back must agree ``blur`` times better than at level, in variances.
+    at the age of ``patience`` [s]. Variances are of the dead-reckoned angle (``predicted`` [rad²]), of the
+    sensor (``variances`` [rad²]), of an average over 0.15 s by the prior (``cautious`` [rad²]), and of the
+    gyro bias, at which the angle drifts (``bias_variance`` [rad²/s²]). ``dt`` [s] is the step. ``valid`` axes
+    are measured. What comes back must agree ``blur`` times better than at level, in variances.
     """
     spread = variances[..., MIDDLE]
     # Does it stand still? The two averages of a fault that moves differ.

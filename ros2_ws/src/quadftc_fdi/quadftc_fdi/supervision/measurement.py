@@ -85,9 +85,9 @@ def defined(prediction: Prediction, P: Covariance, variance: Vector, there: Flag
 
     Pitch always corrects it. Close to 90 deg, roll and yaw do not where the sensor's own noise moves them by
     more than `DEFINED`. ``variance`` [rad²] is that of its angles. An angle cannot be tested where the
-    prediction is so uncertain that the angle is no linear function of the attitude: for roll and yaw, that
-    it moves them by `DEFINED` more than far from the pole; for pitch, that its square counts (the pole
-    repels pitch), against the noise.
+    prediction is so uncertain that the angle is no linear function of the attitude. For roll and yaw: it
+    moves them by `DEFINED` more than far from the pole. For pitch: its square counts against the noise (the
+    pole repels pitch).
     """
     (roll, pitch, yaw), (gain, _, _) = components(variance), components(prediction.gain)
     known = largest(diagonal(P)[..., ROTATION])

@@ -5,7 +5,7 @@ Steady flight has one equation for each axis, so only the trim
 
     c = B (s - 1),    B = (roll, pitch, yaw) effect of each rotor, every row of length 1
 
-can be known. A rotor that lost the share lambda of its thrust gives c = x B e_i, x = lambda / (1 - lambda); a
+can be known. A rotor that lost the share lambda of its thrust gives c = x B e_i, x = lambda / (1 - lambda). A
 centre of mass off the middle gives any roll and pitch trim, and no yaw. c is compared with that of a healthy
 flight of the same vehicle, else with none:
 

@@ -2,9 +2,8 @@
 
 ``SERVOn_FUNCTION`` says which output drives which motor; without it output n drives motor n. Commands are the
 pulses as shares of ``MOT_PWM_MIN`` to ``MOT_PWM_MAX`` (0: of ``RC3_MIN`` to ``RC3_MAX``), and of
-``MOT_SPIN_MIN`` to ``MOT_SPIN_MAX`` of that; what ``MOT_THST_EXPO`` did to make the thrust linear is undone,
-without the part that depends on the voltage. Speeds of ESCs that report within a few milliseconds make one
-sample.
+``MOT_SPIN_MIN`` to ``MOT_SPIN_MAX`` of that. The linearisation by ``MOT_THST_EXPO`` is undone, but for the
+part that depends on the voltage. Speeds of ESCs that report within a few milliseconds make one sample.
 
 Source: ArduPilot, AP_Motors/AP_MotorsMulticopter.cpp, SRV_Channel/SRV_Channel.h.
 """

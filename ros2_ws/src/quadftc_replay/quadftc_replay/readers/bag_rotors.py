@@ -2,8 +2,8 @@
 
 Topics that end in ``rotors/speed`` and ``rotors/command`` come first, else those whose names say so, such
 as ``motor_speeds`` or ``esc/rpm``. Of `sensor_msgs/JointState` the first of velocity, effort and position is
-taken, ordered by the numbers at the end of the joints' names; of `actuator_msgs/Actuators` velocity, else
-normalized, and of `mav_msgs/Actuators` alike; of arrays the data, at the times of recording.
+taken, ordered by the numbers at the end of the joints' names. Of `actuator_msgs/Actuators` and
+`mav_msgs/Actuators` it is velocity, else normalized; of arrays the data, at the times of recording.
 """
 
 from __future__ import annotations

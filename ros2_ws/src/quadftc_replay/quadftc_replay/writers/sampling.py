@@ -49,8 +49,8 @@ def status_at(log: FlightLog, name: str, time: Floats) -> Floats:
 def torque_and_thrust(log: FlightLog) -> tuple[Signal | None, Signal | None]:
     """Torque (n, 3) and thrust (n, 1) that are asked for, as shares of the greatest; None if not known.
 
-    Where the log has the torque in N m, the commands c of rotors at places r say the shares: those of roll
-    are the sum of c y over that of |y|, so of pitch with -x, and of yaw with the senses of rotation.
+    Where the log has the torque in N m, the commands c of rotors at places (x, y) give the shares. The share
+    of roll is the sum of c y over that of |y|. Pitch takes -x in place of y, yaw the senses of rotation.
     """
     commands, places, signs = log.rotor_commands, log.rotor_positions, log.rotor_yaw_signs
     if log.torque_unit == "1" and log.torque_command is not None:
