@@ -1,7 +1,7 @@
 """Alarms of a fault observer on a trial: found in its estimates, stored as text, compared, counted.
 
-An alarm is a time in which one element of a component (``gyro/x``) is declared without a break, in one state:
-FAULTY (recovering ones, too), or AMBIGUOUS where another element may be the faulty one.
+An alarm is a time in which one element of a component (``gyro/x``) is declared without a break, in one state.
+That is FAULTY (recovering ones, too), or AMBIGUOUS where another element may be the faulty one.
 """
 
 from __future__ import annotations

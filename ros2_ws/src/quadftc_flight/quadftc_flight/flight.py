@@ -49,8 +49,8 @@ def _rotor_column(topic: str, field: str = "vector", unknown: Any = np.nan) -> A
 class Flight:
     """One row for each IMU sample that was taken, in the order of the stamps.
 
-    What is unknown in a row is NaN (states: ``NO_STATE``; onsets: 0; ``saturated`` and ambiguities: False):
-    of a withheld sample all but the motion and the disturbance; in a bag, what is missing.
+    What is unknown in a row is NaN (states: ``NO_STATE``; onsets: 0; ``saturated`` and ambiguities: False).
+    Of a withheld sample only the motion and the disturbance are known; in a bag, what is not missing.
     """
 
     stamp_ns: NDArray[np.int64]  # (n,) when the sample was taken

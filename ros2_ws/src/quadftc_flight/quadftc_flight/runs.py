@@ -66,8 +66,8 @@ def run(
 ) -> dict[str, Any] | None:
     """Fly one scheme of a scenario; return the summary that is written beside the bag, None if ended early.
 
-    ``out`` is the directory of all runs. A GraphError says if the graph does not start or stalls; after the
-    flight, if messages were lost or the recording stopped, as on a full disk: the bag has what is before.
+    ``out`` is the directory of all runs. A GraphError says if the graph does not start or stalls. After the
+    flight it says if messages were lost, or if the recording stopped, as on a full disk.
     """
     bag = out / run_name(scenario, scheme)
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:

@@ -4,8 +4,8 @@ A law is a frozen dataclass, and so are its parts (a vehicle, another law). Thei
 switches and shapes are the *structure*: a step is compiled for it. Their floats and arrays are *numbers*,
 each with a path (``vehicle.inertia``): the compiled step takes them as arguments.
 
-What follows from parameters alone, and need not be traced (a validation, an inverse, a set of facets), stands
-in a property that is `prepared`: computed once, in NumPy, and its results are numbers like any others.
+A property that is `prepared` has what follows from parameters alone and need not be traced: a validation, an
+inverse, a set of facets. It is computed once, in NumPy; its results are numbers like any others.
 """
 
 from __future__ import annotations

@@ -29,9 +29,8 @@ def gyroscopic_acceleration(inertia: Vector, body_rate: Vector) -> Vector:
 def propeller_momentum(vehicle: Vehicle, commands: Components) -> Scalar:
     """Angular momentum of the propellers about their common axis [N m s] (...), of rotor commands (..., n).
 
-    The sum of the second term of (2). It takes each rotor's sign from the sense in which it spins; the
-    paper's (-1)^(i+1) would have its rotors 1 and 2 spin in opposite senses, against its own text and its yaw
-    torque.
+    The sum of the second term of (2). It takes each rotor's sign from the sense in which it spins. With the
+    paper's (-1)^(i+1) rotors 1 and 2 would spin in opposite senses, against its text and its yaw torque.
     """
     rotors = vehicle.rotors
     return rotors.rotor_inertia * (propeller_speeds(vehicle, commands) @ rotors.spin_sign)
@@ -51,8 +50,8 @@ def angular_acceleration(
     The drag acts on the body rate. The paper's (2) writes Euler angle rates, the same under its (5); those
     would drive a vehicle that is upside down, and have no bound at 90 deg of pitch.
 
-    ``torque`` [N m] is that of the rotors, by the mixer, and the disturbance; ``momentum`` [N m s] (...) that
-    of the propellers; ``inertia`` [kg m²] (3,) the principal moments, by default the vehicle's.
+    ``torque`` [N m] is that of the rotors, by the mixer, and the disturbance. ``momentum`` [N m s] (...) is
+    that of the propellers. ``inertia`` [kg m²] (3,) has the principal moments, by default the vehicle's.
     """
     inertia = vehicle.inertia if inertia is None else inertia
     total = torque + propeller_torque(body_rate, momentum) - vehicle.rotational_drag * body_rate

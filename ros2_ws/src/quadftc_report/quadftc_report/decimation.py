@@ -2,8 +2,9 @@
 
 1. The ends, both edges of every gap (NaN), and the smallest and the largest sample of each of a few hundred
    stretches of time (MinMax, by tsdownsample).
-2. Then, repeatedly, the sample farthest from the line drawn so far, between any two neighbours, until the
-   line is nowhere off by more than ``TOLERANCE`` of the range, or ``LIMIT`` samples are drawn.
+2. Then, repeatedly, the sample farthest from the line drawn so far, between any two neighbours. This ends
+when
+   the line is nowhere off by more than ``TOLERANCE`` of the range, or ``LIMIT`` samples are drawn.
 
 Metrics are never computed from decimated samples.
 """

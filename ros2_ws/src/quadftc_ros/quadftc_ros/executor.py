@@ -51,8 +51,8 @@ def make_executor(kind: str = "events", context: Any = None) -> Any:
 def _outlive_clocks(found: weakref.ref[Any]) -> None:
     """Wake an executor and its timers whenever the clock of the machine was set back, until it is gone.
 
-    The rclpy of the wheels, made for a glibc older than 2.30, turns each time-out into a time of that clock:
-    the waits in progress would last longer by what it was set back.
+    The rclpy of the wheels is made for a glibc older than 2.30 and turns each time-out into a time of that
+    clock. So the waits in progress would last longer by what it was set back.
     """
     ahead_ns = time.time_ns() - time.monotonic_ns()
     while (executor := found()) is not None:

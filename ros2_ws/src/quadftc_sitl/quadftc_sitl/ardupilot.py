@@ -59,8 +59,8 @@ class ArduPilot(Autopilot):
     def start(self, binary: Path, folder: Path, physics_port: int, mavlink_port: int) -> Start:
         """Return how it is started with our physics, its first serial port ours.
 
-        Its other serial ports would listen at every address; they are no MAVLink ports by the parameters, and
-        send to a port of ours that nobody reads if the firmware opens them nevertheless.
+        Its other serial ports would listen at every address. So the parameters make them no MAVLink ports,
+        and if the firmware opens them nevertheless, they send to a port of ours that nobody reads.
         """
         spare = f"udpclient:{LOOPBACK}:{free_port()}"
         serials = [(f"--serial{number}", spare) for number in SERIAL_PORTS]

@@ -157,8 +157,8 @@ def falls(
 ) -> Condition:
     """Judge a Lyapunov derivative along a run, outside the boundary layers only.
 
-    ``values`` (n,) or (n, k) are the Lyapunov functions at the samples, each by itself; ``required`` are the
-    rates at which they have to fall at least, negative; ``outside`` says where the state is outside its
+    ``values`` (n,) or (n, k) are the Lyapunov functions at the samples, each by itself. ``required`` are the
+    rates at which they have to fall at least, negative. ``outside`` says where the state is outside its
     layer. The condition says ``note`` and ``numbers``, too.
     """
 

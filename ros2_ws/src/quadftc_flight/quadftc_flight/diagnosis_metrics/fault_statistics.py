@@ -48,8 +48,8 @@ _FIGURES: dict[str, tuple[str, Figure]] = {
 def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
     """Sum up the records of faults; those that cannot be judged do not count.
 
-    The band of the mean NEES takes each fault for one independent sample: the error made in telling a fault
-    from the attitude stays in the estimate until the sensor is trusted again.
+    The band of the mean NEES takes each fault for one independent sample. An error in telling the fault from
+    the attitude stays in the estimate until the sensor is trusted again.
     """
     groups = _groups(records)
     judged, by_kind = groups[ALL], {kind: members for kind, members in groups.items() if kind != ALL}

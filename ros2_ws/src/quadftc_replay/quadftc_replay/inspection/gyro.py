@@ -1,7 +1,7 @@
 """Tests of the gyros: steps in flight, and standing offsets at rest.
 
-A step in flight that the rate itself does not explain (`steps`) is the gyro's, unless the vehicle was hit:
-another gyro, or an attitude that is not made of this gyro, then shows it as well.
+A step in flight that the rate itself does not explain (`steps`) is the gyro's, unless the vehicle was hit.
+Then another gyro, or an attitude that is not made of this gyro, shows it as well.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ second with a large residual weigh less, so that the stretch after a fault hardl
 Gains that the log does not excite stay at their prior: as much lift as the weight, and no torque. Rotors
 together have next to none whatever the log says: climbs and turns that go together would give them some.
 
-All signals are means over the bins of one grid, which needs no equal sampling, behind the same low-pass: its
+All signals are means over the bins of one grid, behind the same low-pass; they need no equal sampling. Its
 edge lies where the spectrum of the gyro is least, between motion and vibration. R² is what a fit to every
 other block explains of the blocks between. Standard deviations are those of a jackknife over the blocks.
 """

@@ -5,8 +5,8 @@ of the gyro. Gravity is a witness of its own: an offset that creeps in shows her
 does not. Heading has no such witness. The filter may take any offset here, not only the 2 deg/s of a healthy
 sensor.
 
-Whether gyro or attitude creeps is asked by a second run, with the creep taken off the gyro: what the offset
-differs by is what the filter shows of such a creep, in this motion.
+A second run, with the creep taken off the gyro, tells whether gyro or attitude creeps. The difference of the
+two offsets is what the filter shows of such a creep, in this motion.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@
 | ``vehicle_gps_position``, ``vehicle_air_data``, ``vehicle_magnetometer``, ``battery_status`` | 5 | |
 | ``esc_status``, ``vehicle_imu_status`` | 4, 1 | ``esc_rpm`` of each; vibration, clips |
 
-A topic has the fields that the log knows; one of which it knows none is left out, and so is every sensor but
-the first of its kind, of which PX4 logs spot checks alone. Rotors are told by ``CA_ROTOR*``.
+A topic has the fields that the log knows; a topic without any is left out. So is every sensor but the first
+of its kind: PX4 logs spot checks of the others alone. ``CA_ROTOR*`` tell the rotors.
 
 Source: PX4-Autopilot, src/modules/logger/logged_topics.cpp, msg/*.msg.
 """
