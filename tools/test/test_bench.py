@@ -143,8 +143,7 @@ SHORT_FLIGHT = ["latency", "--duration", "1.5", "--rate", "100"]
 @pytest.mark.parametrize(
     ("arguments", "kind"),
     [
-        (["step", "--batches", "2", "--only", "sliding_mode", "--only", "exosystem"], "step_c"),
-        (["step", "--batches", "2", "--only", "geometric", "--engine", "numpy"], "step_numpy"),
+        (["step", "--batches", "2", "--only", "sliding_mode", "--only", "exosystem"], "step"),
         (["lockstep", "--duration", "0.5", "--repeat", "1"], "lockstep"),
         (SHORT_FLIGHT, "latency"),
         pytest.param(
@@ -175,7 +174,7 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, arguments, kind):
         for row in written["results"]:
             steps = row["rate"] * row["real_time_factor"]  # in a second
             assert row["sample_us"] * steps == pytest.approx(1e6, rel=0.02)
-    if kind == "step_c":
+    if kind == "step":
         rows = {(row["law"], row["place"]): row for row in written["results"]}
         assert {law for law, _ in rows} == {"sliding_mode", "exosystem"}
         assert len(rows) == 3  # an observer of faults flies in both places
@@ -183,10 +182,19 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, arguments, kind):
             assert 0.0 < row["loop_us"] < row["best_us"] <= row["median_us"]
             assert row["statements"] > 10
             assert row["bytes"] > 1000
-    if kind == "step_numpy":
-        (row,) = written["results"]
-        assert "statements" not in row
     assert "load" in capfd.readouterr().out
+
+
+def test_step_renews_the_table_of_the_document(tmp_path):
+    document = tmp_path / "performance.md"
+    document.write_text("<!-- table: law-costs -->\nold\n<!-- end -->\n")
+    arguments = ["--batches", "2", "--only", "threshold", "--engine", "c", "--engine", "numpy"]
+    assert guarded(["bench", "step", *arguments, "--docs", str(tmp_path)]) == 0
+    (row,) = document.read_text().splitlines()[3:-1]  # in both places: the one in free flight
+    law, *numbers = row.strip("| ").split(" | ")
+    assert law == "observer `threshold`"
+    numpy, called, looped, _ = map(float, numbers)
+    assert numpy > called > looped > 0.0
 
 
 def test_every_registered_law_has_its_costs_where_it_can_fly():

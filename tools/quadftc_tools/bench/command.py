@@ -13,9 +13,8 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from quadftc_cli.commands import GOOD, INTERRUPTED
-from quadftc_cli.commands.options import EngineOption
 from quadftc_cli.commands.run import CoreOption, GraphOption, PriorityOption
-from quadftc_cli.screen import console, say
+from quadftc_cli.screen import console, plain_table, say
 from quadftc_flight.run_files import RunError
 from quadftc_flight.scenario import (
     Scenario,
@@ -142,18 +141,28 @@ def lockstep(
 @bench.command()
 def step(
     batches: Annotated[int, typer.Option(min=1, help="How often 250 steps are timed.")] = 20,
-    engine: EngineOption = "c",
+    engine: Engines = [Runs.c],  # noqa: B006
     only: Annotated[list[str], typer.Option(help="Only laws of this name; may be repeated.")] = [],  # noqa: B006
+    docs: Annotated[
+        Path | None, typer.Option(help="Directory of performance.md; its table is renewed.")
+    ] = None,
     out: Out = None,
 ) -> None:
     """What one step of each law costs, for one vehicle, and in C what it takes to compile: a minute."""
-    from quadftc_tools.bench.step import cases, step_costs, step_table
+    from quadftc_tools.bench.step import STEP_HEADS, cases, step_costs, step_rows
+    from quadftc_tools.study.page import markdown, write_tables
 
     if lost := sorted(set(only) - {case.law for case in cases()}):
         raise RunError(f"--only {lost[0]}: no such law")
-    results = list(step_costs(engine, batches, only))
-    console().print(step_table(results))
-    _finish(out, f"step_{engine}", results)
+    results = [item for each in _values(engine) for item in step_costs(each, batches, only)]
+    rows = step_rows(results)
+    table = plain_table(STEP_HEADS[:1], STEP_HEADS[1:], "one step, processor time")
+    for row in rows:
+        table.add_row(*row)
+    console().print(table)
+    if docs is not None:
+        write_tables(docs / "performance.md", {"law-costs": markdown(STEP_HEADS, rows)})
+    _finish(out, "step", results)
 
 
 def _scenario(observer: str, duration: float, rate: float, name: str = SCENARIO) -> Scenario:

@@ -14,9 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
-from quadftc_cli.screen import plain_table
 from quadftc_compile.engine import CEngine, engine_named
 from quadftc_compile.runner import CRunner
 from quadftc_control.controller import controllers
@@ -30,6 +28,7 @@ from quadftc_flight.scenario import find_scenario, load_scenario, with_duration
 from quadftc_model.arrays import rows_of
 from quadftc_model.composition import RunnerCalls
 from quadftc_model.stepper import Engine
+from quadftc_tools.study.page import NOTHING
 
 RATE, DURATION = 250.0, 6.0  # Hz, s; by then observers have started
 PLACES = {"test stand": "mems_faults", "free flight": "free_circle"}  # and the scenario flown there
@@ -37,6 +36,7 @@ SCHEME = {"test stand": "supervised", "free flight": "isolating"}
 SEED = 1
 LOOPED, CALLED = 1000, 250  # samples of a batch: in a loop of C, and called from Python
 MICROSECONDS = 1e6
+STEP_HEADS = ("law", "NumPy [us]", "C from Python [us]", "in a loop of C [us]", "compile [s]")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,16 +166,16 @@ def _stacked(parts: Sequence[Any]) -> Any:
     return None if first is None else np.stack(parts)
 
 
-def step_table(results: Sequence[Mapping[str, Any]]) -> Table:
-    """One row for each law."""
-    numbers = ("best", "median", "in a loop of C", "statements", "trace [s]", "compile [s]", "KiB")
-    in_c = any("loop_us" in item for item in results)
-    title = f"one step [us of processor time], {results[0]['engine']}"
-    table = plain_table(("kind", "law", "where"), numbers if in_c else numbers[:2], title)
-    for item in results:
-        cells = [f"{item['best_us']:.1f}", f"{item['median_us']:.1f}"]
-        if "loop_us" in item:
-            cells += [f"{item['loop_us']:.2f}", str(item["statements"])]
-            cells += [f"{item['trace_s']:.2f}", f"{item['compile_s']:.2f}", f"{item['bytes'] / 1024:.0f}"]
-        table.add_row(item["kind"], item["law"], item["place"], *cells)
-    return table
+def step_rows(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Return a row for each law: of one in both places the dearer, in free flight; by both engines."""
+    found: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
+    for item in results:  # free flight comes last
+        found.setdefault((item["kind"], item["law"]), {})[item["engine"]] = item
+    return [_cells(f"{kind} `{law}`", **of) for (kind, law), of in found.items()]
+
+
+def _cells(law: str, numpy: Mapping[str, Any] | None = None, c: Mapping[str, Any] | None = None) -> list[str]:
+    cells = [law, f"{numpy['best_us']:.0f}" if numpy else NOTHING]
+    if c is None:
+        return [*cells, *(NOTHING,) * 3]
+    return [*cells, f"{c['best_us']:.1f}", f"{c['loop_us']:.2f}", f"{c['compile_s']:.2f}"]

@@ -1,1 +1,1 @@
-"""What the documents show and a command can make: the map of the packages, costs of laws, the policy."""
+"""What the documents show and a command can make: the map of the packages, the policy."""

@@ -56,15 +56,17 @@ def run_study(
         if options.docs is None:
             say(*(f"{name}\n{table}\n" for name, table in tables.items()))
         else:
-            path = options.docs / page
-            path.write_text(
-                with_tables(path.read_text(encoding="utf-8"), tables, str(path)), encoding="utf-8"
-            )
-            say(f"written: {path}", stderr=True)
+            write_tables(options.docs / page, tables)
     except (ValueError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return BAD_INPUT
     return GOOD
+
+
+def write_tables(path: Path, tables: Tables) -> None:
+    """Renew tables of a document, and say so."""
+    path.write_text(with_tables(path.read_text(encoding="utf-8"), tables, str(path)), encoding="utf-8")
+    say(f"written: {path}", stderr=True)
 
 
 def with_tables(text: str, tables: Tables, where: str) -> str:
