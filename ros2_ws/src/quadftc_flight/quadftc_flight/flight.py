@@ -191,14 +191,14 @@ def _count_rotors(bag: Bag) -> int:
     return min(map(len, bag.series("rotors/speed")["velocity"]))
 
 
-class Reading(NamedTuple):
+class ImuReadings(NamedTuple):
     """What an IMU said in the rows of a flight; NaN where it said nothing."""
 
     angles: Float[Floats, "n 3"]  # Euler angles [rad]
     body_rate: Float[Floats, "n 3"]  # [rad/s]
 
 
-def reading_from_bag(bag: Bag, topic: str, stamp_ns: Int[NDArray[np.int64], " n"]) -> Reading:
+def imu_readings_from_bag(bag: Bag, topic: str, stamp_ns: Int[NDArray[np.int64], " n"]) -> ImuReadings:
     """Join the samples of an IMU, a topic of type sensor_msgs/Imu, by the stamps of the rows of a flight."""
     nothing = np.full(9, np.nan)
     angles = np.asarray(
@@ -207,7 +207,7 @@ def reading_from_bag(bag: Bag, topic: str, stamp_ns: Int[NDArray[np.int64], " n"
     body_rate = _join_topic(bag, topic, "angular_velocity", stamp_ns, nothing[:3])
     for values, field in ((angles, "orientation_covariance"), (body_rate, "angular_velocity_covariance")):
         values[_join_topic(bag, topic, field, stamp_ns, nothing)[:, 0] == ABSENT] = np.nan
-    return Reading(angles, body_rate)
+    return ImuReadings(angles, body_rate)
 
 
 def join_rows(series: Series, field: str, stamp_ns: NDArray[np.int64], unknown: NDArray[Any]) -> NDArray[Any]:

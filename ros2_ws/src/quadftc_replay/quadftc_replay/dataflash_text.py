@@ -68,19 +68,19 @@ def read_dataflash_text(
 ) -> DataflashLog:
     """Read messages of some names, of each some fields, as `read_dataflash` does from the binary log."""
     wanted = {name.encode(): tuple(fields) for name, fields in {**names, PARAMETER: PARAMETER_FIELDS}.items()}
-    reading = _Reading(wanted, instances)
+    reader = _LineReader(wanted, instances)
     try:
         with path.open("rb") as stream:
             for line in iter(lambda: stream.readline(LONGEST), b""):
-                reading.take(line)
+                reader.take(line)
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
-    messages = reading.messages()
+    messages = reader.messages()
     parameters = messages.pop(PARAMETER, {})
-    return DataflashLog(messages, parameters_of(parameters), tuple(reading.notes()))
+    return DataflashLog(messages, parameters_of(parameters), tuple(reader.notes()))
 
 
-class _Reading:
+class _LineReader:
     """Takes the lines of a log."""
 
     def __init__(self, wanted: Mapping[bytes, tuple[str, ...]], instances: Collection[str]) -> None:

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serial
 from quadftc_bags.bag import Bag, BagError
 from quadftc_flight import run_directory
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, Time
-from quadftc_flight.flight import Flight, Reading, flight_from_bag, reading_from_bag
+from quadftc_flight.flight import Flight, ImuReadings, flight_from_bag, imu_readings_from_bag
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY, RecordedRun, RunDirectory
 from quadftc_flight.scenario import Fault, Part
@@ -68,8 +68,8 @@ class RecordedReplay(RunDirectory):
 
     origin: ReplayOrigin
     faults: tuple[Fault, ...]  # overlaid
-    measured: Reading  # what the observer saw, overlaid faults included; a row for each of the flight
-    corrected: Reading  # what it passed on
+    measured: ImuReadings  # what the observer saw, overlaid faults included; a row for each of the flight
+    corrected: ImuReadings  # what it passed on
 
     disturbance_observer: ClassVar[str] = NO_OBSERVER
     disturbances: ClassVar[tuple[Part, ...]] = ()  # none is known
@@ -126,8 +126,8 @@ def replay_from_bag(bag: Bag) -> RecordedReplay:
         versions=run_directory.versions_of(stored.data, bag),
         origin=origin,
         faults=faults,
-        measured=reading_from_bag(bag, "imu/data", flight.stamp_ns),
-        corrected=reading_from_bag(bag, "imu/corrected", flight.stamp_ns),
+        measured=imu_readings_from_bag(bag, "imu/data", flight.stamp_ns),
+        corrected=imu_readings_from_bag(bag, "imu/corrected", flight.stamp_ns),
     )
     summary, wrong = replay.summary, list[str]()
     if replay.is_whole:

@@ -1,7 +1,7 @@
 """The claims of section 4 of B. Wang, P. Huang, W. Zhang, A Robust Fault-Tolerant Control for Quadrotor
 Helicopters against Sensor Faults and External Disturbances, Complexity, 2021, and the verdicts on them.
 
-Claims are judged on runs in the paper's conditions alone (`_evidence`). The paper states hardly a number;
+Claims are judged on runs in the paper's conditions alone (`_run_pair`). The paper states hardly a number;
 where a claim needs a bound, it is ours, and the claim's criterion says so.
 """
 
@@ -26,7 +26,7 @@ from quadftc_report.wording import each_axis, short
 
 Floats = NDArray[np.float64]
 Among = Sequence[Comparison[RecordedRun]]  # all comparisons of a report: some claims compare scenarios
-Finding = tuple[bool, str]  # whether a claim holds, and the numbers
+Verdict = tuple[bool, str]  # whether a claim holds, and the numbers
 
 FAULTS, CONSTANT, VARYING = "paper_faults", "paper_constant_disturbance", "paper_varying_disturbance"
 PAPER_SCENARIOS = (FAULTS, CONSTANT, VARYING)
@@ -47,7 +47,7 @@ class NoVerdictError(Exception):
     """The runs give no verdict; one line that says why."""
 
 
-class Evidence(NamedTuple):
+class RunPair(NamedTuple):
     """The runs that a claim is judged on."""
 
     proposed: RecordedRun
@@ -77,14 +77,14 @@ def judge(comparison: Comparison[RecordedRun], among: Among = ()) -> list[Judgem
 
     def judge_claim(claim: Claim) -> Judgement:
         try:
-            return Judgement(claim, *JUDGES[claim.key](_evidence(comparison), among))
+            return Judgement(claim, *JUDGES[claim.key](_run_pair(comparison), among))
         except NoVerdictError as why:
             return Judgement(claim, None, str(why))
 
     return [judge_claim(each) for each in CLAIMS if comparison.runs[0].scenario.name in each.scenarios]
 
 
-def _evidence(comparison: Comparison[RecordedRun]) -> Evidence:
+def _run_pair(comparison: Comparison[RecordedRun]) -> RunPair:
     """The runs to judge on, if they were flown in the paper's conditions."""
     scenario, plant = comparison.runs[0].scenario, comparison.runs[0].scenario.plant
     vehicle = (scenario.vehicle, plant.motor_lag, set(plant.inertia_factor))
@@ -106,13 +106,13 @@ def _evidence(comparison: Comparison[RecordedRun]) -> Evidence:
     }
     if problems := [problem for problem, fulfilled in needed.items() if not fulfilled]:
         raise NoVerdictError(problems[0])
-    evidence = Evidence(runs[PROPOSED], runs[CONVENTIONAL])
-    for run in evidence:
+    pair = RunPair(runs[PROPOSED], runs[CONVENTIONAL])
+    for run in pair:
         if not run.is_whole:
             whole = f"{scenario.duration:g} s"
             raise NoVerdictError(f"{run.name} was recorded for {run.duration:.1f} s of {whole} only")
         _require_disturbance(run)
-    return evidence
+    return pair
 
 
 def _require_disturbance(run: RecordedRun) -> None:
@@ -151,20 +151,20 @@ def _rms(run: RecordedRun, columns: Floats, start: float, stop: float = math.inf
     return np.sqrt(np.mean(rows**2, axis=0))
 
 
-def _is_bounded(label: str, path: str, bound: float, evidence: Evidence, _: Among) -> Finding:
+def _is_bounded(label: str, path: str, bound: float, pair: RunPair, _: Among) -> Verdict:
     """Compare a metric [deg] of every axis of the proposed run with an upper bound."""
-    values = _metric(evidence.proposed, path)
+    values = _metric(pair.proposed, path)
     return bool(values.max() < bound), f"{label} {each_axis(values, 'deg')}"
 
 
-def _is_smaller(label: str, path: str, unit: str, evidence: Evidence, _: Among) -> Finding:
+def _is_smaller(label: str, path: str, unit: str, pair: RunPair, _: Among) -> Verdict:
     """Compare a metric of the proposed run with that of the conventional one, axis by axis."""
-    ours, theirs = (_metric(run, path) for run in evidence[:2])
+    ours, theirs = (_metric(run, path) for run in pair[:2])
     return bool(np.all(ours <= theirs)), f"{label} {each_axis(ours, unit)} against {each_axis(theirs, unit)}"
 
 
-def _follows_its_sensor(evidence: Evidence, _: Among) -> Finding:
-    run = evidence.conventional
+def _follows_its_sensor(pair: RunPair, _: Among) -> Verdict:
+    run = pair.conventional
     sizes = np.stack([_metric(run, f"fault_windows.{index}.tracking_rmse_deg") for index in range(2)])
     shares = sizes / [_rms(run, np.degrees(run.flight.fault), *times) for times in FAULT_TIMES]
     return bool(sizes.min() > TRACKING_DEG), (
@@ -173,8 +173,8 @@ def _follows_its_sensor(evidence: Evidence, _: Among) -> Finding:
     )
 
 
-def _roll_reads_wrong(evidence: Evidence, _: Among) -> Finding:
-    run, flight = evidence.conventional, evidence.conventional.flight
+def _roll_reads_wrong(pair: RunPair, _: Among) -> Verdict:
+    run, flight = pair.conventional, pair.conventional.flight
     rows = (flight.time >= FAULT_TIMES[0][0]) & (flight.time < FAULT_TIMES[0][1])
     reference, fault = flight.reference[rows, 0], np.degrees(flight.fault[rows, 0])
     if np.any(reference != 0.0) or not np.allclose(fault, 1.0):
@@ -184,8 +184,8 @@ def _roll_reads_wrong(evidence: Evidence, _: Among) -> Finding:
     return bool(low < value < high), f"mean roll {short(value)} deg"
 
 
-def _leans_without_fault(evidence: Evidence, _: Among) -> Finding:
-    flight = evidence.conventional.flight
+def _leans_without_fault(pair: RunPair, _: Among) -> Verdict:
+    flight = pair.conventional.flight
     error = np.degrees(np.asarray(wrap(flight.angles - flight.reference)))
     disturbed = (flight.time >= DISTURBED[0]) & (flight.time < DISTURBED[1])
     both = flight.time < DISTURBANCE_ONSET, disturbed
@@ -194,18 +194,18 @@ def _leans_without_fault(evidence: Evidence, _: Among) -> Finding:
     return bool(np.all(after > np.maximum(TRACKING_DEG, before))), reason
 
 
-def _disturbance_estimated(evidence: Evidence, _: Among) -> Finding:
-    run = evidence.proposed
+def _disturbance_estimated(pair: RunPair, _: Among) -> Verdict:
+    run = pair.proposed
     shares = 100.0 * _metric(run, "disturbance_estimate_rmse") / _rms(run, run.flight.disturbance, 0.0)
     reason = f"error of the disturbance estimate {each_axis(shares, '%')} of the disturbance, both RMS"
     return bool(shares.max() < 100.0 * REMAINDER), reason
 
 
-def _more_affected(evidence: Evidence, among: Among) -> Finding:
+def _more_affected(pair: RunPair, among: Among) -> Verdict:
     first = [each for each in among if each.runs[0].scenario.name == CONSTANT]
     if not first:
         raise NoVerdictError(f"the runs of scenario 1 ({CONSTANT}) are not among these")
-    runs = _evidence(first[-1]).conventional, evidence.conventional
+    runs = _run_pair(first[-1]).conventional, pair.conventional
     one, two = (_metric(run, "tracking_rmse_deg") for run in runs)
     sizes = [_rms(run, run.flight.disturbance, DISTURBANCE_ONSET) for run in runs]
     return bool(np.all(two > one)), (
@@ -218,7 +218,7 @@ _SETTLED = ("error of the settled estimate", "fault_estimate_max_settled_deg")
 _TRACKING = ("tracking RMSE", "tracking_rmse_deg")
 _VARIATION = ("total variation of the torque", "torque_total_variation")
 _proposed_tracks = functools.partial(_is_bounded, *_TRACKING, TRACKING_DEG)
-JUDGES: dict[str, Callable[[Evidence, Among], Finding]] = {
+JUDGES: dict[str, Callable[[RunPair, Among], Verdict]] = {
     "faults_estimated": functools.partial(_is_bounded, *_SETTLED, SETTLED_ERROR_DEG),
     "conventional_follows_its_sensor": _follows_its_sensor,
     "roll_is_minus_one_degree": _roll_reads_wrong,

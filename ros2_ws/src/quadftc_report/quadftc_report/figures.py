@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.diagnosis import BODY_AXES
-from quadftc_flight.flight import NO_STATE, Reading
+from quadftc_flight.flight import NO_STATE, ImuReadings
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.rotations import wrap
@@ -213,7 +213,7 @@ def _attitude(scene: Scene[RecordedReplay]) -> Iterator[Figure]:
         yield scene.figure(f"attitude-{name}", title, caption, [upper, lower])
 
 
-def _error(run: RecordedReplay, reading: Reading, axis: int) -> Floats:
+def _error(run: RecordedReplay, reading: ImuReadings, axis: int) -> Floats:
     """An angle less the measured one without the fault [deg] (n,), wrapped."""
     faultless = run.measured.angles[:, axis] - run.flight.fault[:, axis]
     return np.degrees(wrap(reading.angles[:, axis] - faultless))

@@ -13,7 +13,7 @@ import pytest
 from quadftc_bags.bag import Bag
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events
-from quadftc_flight.flight import NO_STATE, Flight, Reading, unknown_flight
+from quadftc_flight.flight import NO_STATE, Flight, ImuReadings, unknown_flight
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import parse_scenario
 from quadftc_flight.summary import summary
@@ -71,7 +71,7 @@ def made_replay(
             **changes,
         },
     )
-    measured = Reading(flight.fault + 0.2, columns() + 0.1)
+    measured = ImuReadings(flight.fault + 0.2, columns() + 0.1)
     measured.angles[700:720] = np.nan
     parameters = {"vehicle": "qball_x4", "observer": observer}
     origin = ReplayOrigin(
@@ -105,7 +105,7 @@ def made_replay(
         origin=origin,
         faults=faults,
         measured=measured,
-        corrected=Reading(measured.angles - flight.fault_estimate, measured.body_rate - 0.01 * found),
+        corrected=ImuReadings(measured.angles - flight.fault_estimate, measured.body_rate - 0.01 * found),
     )
 
 
@@ -215,7 +215,7 @@ def test_correction_of_the_gyro_is_that_of_the_observers_that_correct():
 
 
 def test_what_was_not_recorded_has_no_figure():
-    nothing = Reading(np.full((COUNT, 3), np.nan), np.full((COUNT, 3), np.nan))
+    nothing = ImuReadings(np.full((COUNT, 3), np.nan), np.full((COUNT, 3), np.nan))
     replay = dataclasses.replace(made_replay(), measured=nothing, corrected=nothing)
     assert list(described(replay)) == ["fault-roll", "state"]
 
@@ -226,8 +226,8 @@ def test_replay_that_was_cut_is_drawn_to_its_end_and_named():
     cut = dataclasses.replace(
         made_replay("none"),
         flight=Flight(**rows),
-        measured=Reading(*(values[:500] for values in whole.measured)),
-        corrected=Reading(*(values[:500] for values in whole.corrected)),
+        measured=ImuReadings(*(values[:500] for values in whole.measured)),
+        corrected=ImuReadings(*(values[:500] for values in whole.corrected)),
     )
     figure = described(whole, cut)["attitude-roll"]
     assert (figure.span, len(lines(figure.panels[0])["none"])) == ((0.0, 10.0), 500)

@@ -42,7 +42,7 @@ LARGEST = 0.3  # of a logarithm in one step
 Fly = Callable[[Campaign, Gains, Sequence[int]], Sensitivity]
 
 
-class Judged(NamedTuple):
+class HeldOut(NamedTuple):
     """Flights not used for tuning."""
 
     cost: float
@@ -58,8 +58,8 @@ class Tuned(NamedTuple):
     start: Gains
     gains: Gains
     failing: frozenset[str]  # conditions of the theory that failed before, and may fail still
-    before: Judged
-    after: Judged
+    before: HeldOut
+    after: HeldOut
 
 
 def checked(campaign: Campaign) -> Gains:
@@ -166,7 +166,9 @@ def _keys(campaign: Campaign) -> TuneKeys:
     return campaign.tune
 
 
-def _judge_gains(workers: Workers, campaign: Campaign, each: Sequence[Gains], shares: Floats) -> list[Judged]:
+def _judge_gains(
+    workers: Workers, campaign: Campaign, each: Sequence[Gains], shares: Floats
+) -> list[HeldOut]:
     """Fly the flights after those of the campaign, with each of some gains."""
     total = campaign.flights + _keys(campaign).held_out
     pieces = pieces_of(list(range(campaign.flights, total)), FLIGHTS_A_CHUNK)
@@ -176,14 +178,14 @@ def _judge_gains(workers: Workers, campaign: Campaign, each: Sequence[Gains], sh
     tasks = [(one, piece) for one in tried for piece in pieces]
     for place, flown in run_tasks(workers, fly_chunk, tasks):
         rows[place // len(pieces)] += flown
-    metrics, judged = [*_keys(campaign).cost], list[Judged]()
+    metrics, judged = [*_keys(campaign).cost], list[HeldOut]()
     columns = [f"{name}.{axis}" for name in metrics for axis in AXES]
     for frame in map(table_of, rows):
         flights = whole_flights(frame)
         values = flights.select(columns).to_numpy().reshape(-1, len(metrics), len(AXES))
         there = "fault.detected" in frame.columns
         judged += [
-            Judged(
+            HeldOut(
                 cost=mean_cost(shares, values),
                 metrics=dict(zip(metrics, np.nanmean(values, axis=(0, 2)).tolist(), strict=True)),
                 missed=int((~frame["fault.detected"].drop_nulls()).sum()) if there else 0,

@@ -47,7 +47,7 @@ class Inspection(NamedTuple):
     agreement: Agreement | None
 
 
-class _Judgement:
+class _Inspection:
     """What is found, judged, and not judged, as the tests go on."""
 
     def __init__(self) -> None:
@@ -64,33 +64,33 @@ def inspect(
     log: FlightLog, baseline: FlightLog | None = None, progress: Progress = lambda _share: None
 ) -> Inspection:
     """Judge a log; ``baseline`` is a healthy flight of the same vehicle."""
-    flight, judgement = prepare(log), _Judgement()
+    flight, inspection = prepare(log), _Inspection()
     gyros, ending = _gyros(flight), ending_of(flight)
     agreement = (
         compare(log.attitude, next(iter(gyros.values()))) if log.attitude is not None and gyros else None
     )
     progress(0.2)
-    judgement.found += _readings(flight, gyros)
+    inspection.found += _readings(flight, gyros)
     progress(0.4)
-    _sensors(flight, gyros, agreement, judgement)
+    _sensors(flight, gyros, agreement, inspection)
     progress(0.7)
     found, judged = navigation_findings(flight, agreement, _longest(flight, None))
-    judgement.found += found
-    judgement.judged += judged
-    rotors = _rotors(flight, baseline, judgement)
+    inspection.found += found
+    inspection.judged += judged
+    rotors = _rotors(flight, baseline, inspection)
     if not rotors.found:  # a vehicle that tumbles answers nothing
-        judgement.found += deaf_findings(flight)
+        inspection.found += deaf_findings(flight)
     progress(0.8)
     if (reason := cannot_judge_battery(flight)) is None:
-        judgement.judged.append("battery")
-        judgement.found += battery_findings(flight)
+        inspection.judged.append("battery")
+        inspection.found += battery_findings(flight)
     else:
-        judgement.cannot("battery", reason)
-    judgement.found += [*flown_findings(flight), *vibration_findings(flight)]
-    found, follows = first_cause(judgement.found, ending, log.events)
+        inspection.cannot("battery", reason)
+    inspection.found += [*flown_findings(flight), *vibration_findings(flight)]
+    found, follows = first_cause(inspection.found, ending, log.events)
     progress(1.0)
     verdict = make_verdict(
-        flight, baseline, ending, found, follows, judgement.judged, judgement.missing, rotors.model
+        flight, baseline, ending, found, follows, inspection.judged, inspection.missing, rotors.model
     )
     return Inspection(verdict, tuple(found), flight, agreement)
 
@@ -137,10 +137,10 @@ def _longest(flight: Flight, sensor: Signal | None) -> Signal | None:
 
 
 def _sensors(
-    flight: Flight, gyros: dict[str, Signal], agreement: Agreement | None, judgement: _Judgement
+    flight: Flight, gyros: dict[str, Signal], agreement: Agreement | None, inspection: _Inspection
 ) -> None:
     """Tests of the sensors against each other: pairs, which need no model, the path, steps."""
-    log, known = flight.log, [each.finding for each in judgement.found]
+    log, known = flight.log, [each.finding for each in inspection.found]
     pairs = [*pair_findings(flight, "gyro", gyros, known)]
     pairs += pair_findings(flight, "accelerometer", log.accelerometers, known)
     paths, path = path_findings(flight)
@@ -150,68 +150,68 @@ def _sensors(
         ([], []) if agreement is None else disagreements(flight, agreement, log.attitude_from_gyro)
     )
     begun = min((each.finding.onset_s for each in pairs), default=float("inf"))
-    judgement.found += pairs + [
+    inspection.found += pairs + [
         each
         for each in paths
         if each.finding.onset_s < begun - PATH_SEES and not (path and is_tilt(each.finding, path, jumps))
     ]
     witness = Witness(agreement, creeps, not is_own) if agreement is not None else None
     own, left = gyro_findings(flight, gyros, witness)
-    judgement.found += own
+    inspection.found += own
     gravity = _by_gravity(log, gyros)
     for name, sensor in gyros.items():
         component = component_name("gyro", name)
         if len(sensor) < FEWEST:
-            judgement.cannot(component, f"{len(sensor)} samples are too few")
+            inspection.cannot(component, f"{len(sensor)} samples are too few")
         elif len(gyros) > 1 or by_satellites or not is_own or sensor.rate >= SLOWEST:
-            judgement.judged.append(component)
+            inspection.judged.append(component)
         else:
-            judgement.cannot(
+            inspection.cannot(
                 component, f"at {sensor.rate:.0f} Hz, without a second gyro, steps look like motion"
             )
     if not gyros:
-        judgement.cannot("gyro", "no body rate is logged")
+        inspection.cannot("gyro", "no body rate is logged")
     if agreement is not None:
-        judgement.judged.append("attitude")
+        inspection.judged.append("attitude")
         main = gravity.get(next(iter(gyros)))
-        judgement.found += attitude_findings(
+        inspection.found += attitude_findings(
             *(agreement, jumps, left, is_own),
             lambda creep: owner_by_other(creep, gyros) or owner_of(creep, main),
         )
     elif log.attitude is None:
-        judgement.cannot("attitude", "no attitude is logged")
+        inspection.cannot("attitude", "no attitude is logged")
     else:
-        judgement.cannot("attitude", "there is no gyro that goes along with it")
-    _accelerometers(flight, path is not None, judgement)
-    judgement.found += _creeping(flight, gravity, agreement, judgement.found)
+        inspection.cannot("attitude", "there is no gyro that goes along with it")
+    _accelerometers(flight, path is not None, inspection)
+    inspection.found += _creeping(flight, gravity, agreement, inspection.found)
 
 
-def _accelerometers(flight: Flight, has_path: bool, judgement: _Judgement) -> None:
+def _accelerometers(flight: Flight, has_path: bool, inspection: _Inspection) -> None:
     """Tests of every accelerometer."""
     sensors = flight.log.accelerometers
     for name, sensor in sensors.items():
         component = component_name("accelerometer", name)
         if len(sensor) < FEWEST:
-            judgement.cannot(component, f"{len(sensor)} samples are too few")
+            inspection.cannot(component, f"{len(sensor)} samples are too few")
             continue
         if len(sensors) > 1 or has_path or (sensor.rate >= SLOWEST and flight.phases_known):
-            judgement.judged.append(component)
+            inspection.judged.append(component)
         else:
-            judgement.cannot(
+            inspection.cannot(
                 component, "without a second one, motors or satellites, its steps look like motion"
             )
         others = [each for other, each in sensors.items() if other != name]
-        judgement.found += accelerometer_findings(flight, component, sensor, others)
+        inspection.found += accelerometer_findings(flight, component, sensor, others)
     if not sensors:
-        judgement.cannot("accelerometer", "no specific force is logged")
+        inspection.cannot("accelerometer", "no specific force is logged")
 
 
-def _rotors(flight: Flight, baseline: FlightLog | None, judgement: _Judgement) -> Rotors:
+def _rotors(flight: Flight, baseline: FlightLog | None, inspection: _Inspection) -> Rotors:
     """Tests of the rotors."""
     rotors = judge_rotors(flight, baseline)
-    judgement.found += rotors.found
-    judgement.judged += ["rotor"] if rotors.judged else []
-    judgement.missing += rotors.missing
+    inspection.found += rotors.found
+    inspection.judged += ["rotor"] if rotors.judged else []
+    inspection.missing += rotors.missing
     return rotors
 
 
