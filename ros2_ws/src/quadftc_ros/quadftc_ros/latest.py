@@ -34,8 +34,11 @@ class Latest:
     def __init__(self, vehicle: Vehicle, plant: PlantKind) -> None:
         self.vehicle = vehicle
         self.flies = plant == "free_flight"
-        self._data: dict[str, bytes] = {}
-        self._place = FieldReader(Odometry, "pose.pose.position")
+        self._data: dict[str, tuple[int, bytes]] = {}  # by topic: stamp [ns] and message
+        self._place, self._turn, self._rate = (
+            FieldReader(Odometry, field)
+            for field in ("pose.pose.position", "pose.pose.orientation_xyzw", "twist.twist.angular")
+        )
         rotors = len(vehicle.rotors.positions)
         self._speeds, self._condition = RotorsReader(rotors), RotorConditionReader(rotors)
         self._none = np.zeros(rotors)
@@ -50,19 +53,22 @@ class Latest:
     def put(self, topic: str, data: bytes) -> None:
         """Take a message in CDR; what is too short for a stamp is none."""
         with contextlib.suppress(ValueError):
-            leading_stamp_ns(data)
-            self._data[topic] = data
+            self._data[topic] = leading_stamp_ns(data), data
+
+    def forget(self) -> None:
+        """Forget all messages."""
+        self._data.clear()
 
     def stamp_ns(self) -> int:
         """Return the newest stamp [ns]; 0 if nothing has come."""
-        return max(map(leading_stamp_ns, self._data.values()), default=0)
+        return max((stamp_ns for stamp_ns, _ in self._data.values()), default=0)
 
     def read(self, topic: str, decode: Callable[[bytes], Any]) -> Any:
         """Return what a topic says now; None if it is silent, or says nothing that can be read."""
-        data = self._data.get(topic)
+        stamp_ns, data = self._data.get(topic, (0, None))
+        if data is None or self.stamp_ns() - stamp_ns > SILENT_NS:
+            return None
         try:
-            if data is None or self.stamp_ns() - leading_stamp_ns(data) > SILENT_NS:
-                return None
             return decode(data)
         except ValueError:
             return None
@@ -73,11 +79,20 @@ class Latest:
         angles = self.read(SOURCES["truth"], vector_of)
         if angles is not None:
             found["truth"] = quaternion_from_euler(angles)
+        elif (turn := self.read(PLACES[0], self._turn)) is not None:
+            found["truth"] = np.array(turn[1])
         for role in ROLES[1:]:
             imu = self.read(SOURCES[role], imu_of)
             if imu is not None and imu.attitude_valid and np.all(np.isfinite(imu.q_xyzw)):
                 found[role] = imu.q_xyzw
         return found
+
+    def body_rate(self) -> Floats | None:
+        """Return the true body rate (3,) [rad/s]."""
+        rate = self.read("plant/rate", vector_of)
+        if rate is None and (spin := self.read(PLACES[0], self._rate)) is not None:
+            rate = np.array(spin[1])
+        return rate
 
     def position(self) -> Floats:
         """Return the position (3,) [m]; the origin where there is none, as on a test stand."""

@@ -11,6 +11,9 @@ import pytest
 from quadftc_bags.bag import read_bag
 from quadftc_cli.live import LiveGraph
 from quadftc_cli.live_page.attached import page_of_running
+from quadftc_cli.live_page.page import Flown
+from quadftc_cli.live_page.player import Player, read_recorded
+from quadftc_cli.live_page.server import picture_of
 from quadftc_model.samples import level_sample
 from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.executor import StopSignals
@@ -73,6 +76,15 @@ def test_fault_by_hand_is_in_truth_and_bag_and_ctrl_c_lands(tmp_path, monkeypatc
     series = read_bag(tmp_path / "out" / "bag").series("fault/injected/gyro")
     faulty = series["stamp_ns"][series["vector"][:, 1] > 0.15]
     assert 1e-9 * (faulty[-1] - faulty[0]) == pytest.approx(fault["stop"] - fault["start"], abs=0.02)
+    recorded = read_recorded(tmp_path / "out")  # the page plays it, too
+    picture = picture_of(Flown(**recorded.flown))
+    player = Player(recorded, picture, 1.0)
+    (event,) = recorded.events
+    player.wanted = event.start + 0.25
+    player.step(0.0)
+    assert picture.states()["gyro"]["y"].name in ("faulty", "ambiguous")
+    assert {*picture.latest.attitudes()} == {"truth", "measured"}
+    assert abs(picture.latest.body_rate()[1]) < 0.2
     told = "\n".join(lines)
     for words in ("fault 1: bias channel=gyro", "observer: gyro y", "fault 1: cleared", "Ctrl-C: it lands"):
         assert words in told

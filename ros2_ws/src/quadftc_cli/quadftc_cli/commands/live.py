@@ -29,6 +29,13 @@ def live(
         bool,
         Option("--attach", help="Fly nothing: show the graph that runs already, on a real vehicle, too."),
     ] = False,
+    bag: Annotated[
+        Path | None,
+        Option(metavar="BAG", help="Fly nothing: play a recorded flight, its bag or the folder of it."),
+    ] = None,
+    speed: Annotated[
+        float, Option(min=0.1, max=100.0, help="Of the recorded flight, as a multiple of real time.")
+    ] = 1.0,
     namespace: Annotated[str, Option(help="ROS namespace of the vehicle.")] = "",
     port: Annotated[int, Option(min=0, max=65535, help="Port on 127.0.0.1; 0: any that is free.")] = 8348,
     browser: Annotated[bool, Option(help="Open the page in the browser.")] = True,
@@ -37,7 +44,7 @@ def live(
     core: CoreOption = [],  # noqa: B006
     engine: EngineOption = "c",
 ) -> None:
-    """Fly in real time and show it in the browser: 3D, charts, states, faults to inject, setpoints.
+    """Fly in real time, or play a recording, and show it in the browser: 3D, charts, states, faults.
 
     Only you can use the page, by the address that is printed. Ctrl-C ends flight and page.
     """
@@ -45,8 +52,19 @@ def live(
 
     how = (wait, realtime_priority, tuple(core))
     wish = Wish(scenario, scheme, vehicle, stand, sliders, rate, duration, record, namespace, engine)
+    chosen = any((scenario, scheme, vehicle, stand, sliders, rate, duration, record))
+    if bag is not None:
+        if chosen or attach:
+            raise ValueError(
+                "--bag: plays what has flown; only --speed, --namespace, --port, --browser go with it"
+            )
+        from quadftc_cli.live_page.server import show_recorded
+
+        return show_recorded(bag, speed, namespace, port, browser)
+    if speed != 1.0:
+        raise ValueError("--speed: belongs to --bag")
     if not attach:
         raise typer.Exit(fly_live(wish, port, browser, how))
-    if any((scenario, scheme, vehicle, stand, sliders, rate, duration, record)):
+    if chosen:
         raise ValueError("--attach: shows what flies already; only --namespace, --port, --browser go with it")
     raise typer.Exit(show_running(namespace, port, browser))

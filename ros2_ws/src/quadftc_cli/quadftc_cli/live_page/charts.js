@@ -7,13 +7,18 @@ export default {
     this.axis = 0;
     this.drawn = 0;
     this.timer = setInterval(() => this.draw(), 100);
+    window.addEventListener("resize", this.refresh);
   },
   beforeUnmount() {
     clearInterval(this.timer);
+    window.removeEventListener("resize", this.refresh);
   },
   methods: {
+    refresh() {
+      this.stale = true;
+    },
     push(rows) {
-      this.rows.push(...rows);
+      this.rows = [...this.rows.filter((row) => row[0] < rows[0][0]), ...rows]; // a recording may go back
       const begin = this.rows[this.rows.length - 1][0] - this.window;
       const first = this.rows.findIndex((row) => row[0] >= begin);
       this.rows.splice(0, first);

@@ -53,7 +53,10 @@ def _short(value: float) -> float | None:
 
 
 def _plan(picture: Picture) -> list[tuple[str, str, list[tuple[str, str, int, bool]], dict[str, Any]]]:
-    """Return of each chart title, unit, lines (name, colour, column, by axis) and options."""
+    """Return of each chart title, unit, lines (name, colour, column, by axis) and options.
+
+    A chart that would stay empty is left out.
+    """
     plan = [
         (
             "attitude",
@@ -88,9 +91,12 @@ def _plan(picture: Picture) -> list[tuple[str, str, list[tuple[str, str, int, bo
             {},
         ),
     ]
-    if picture.rotors:
+    if {"fault/status", "fault/injected"} <= picture.silent:
+        del plan[1]
+    if picture.rotors and "rotors/status" not in picture.silent:
         lines = [(f"{k + 1}", ROTORS[k % len(ROTORS)], ROTORS_AT + k, False) for k in range(picture.rotors)]
         plan.append(("rotor effectiveness", "%", lines, {"min": 0, "max": 110}))
+    if picture.rotors:
         place = [("reference", REFERENCE, PLACE_REFERENCE_AT), ("vehicle", TRUTH, PLACE_AT)]
         plan.append(("position", "m", [(*line, True) for line in place], {}))
         # last, as `charts.js` draws it against another axis

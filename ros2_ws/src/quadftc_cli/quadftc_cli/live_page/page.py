@@ -16,7 +16,9 @@ from nicegui import background_tasks, ui
 from quadftc_cli.live_page.charts import StripCharts
 from quadftc_cli.live_page.commander import Commander
 from quadftc_cli.live_page.picture import Picture, State
+from quadftc_cli.live_page.player import Player
 from quadftc_cli.live_page.scene import CORRECTED, MEASURED, TRUTH, VehicleScene
+from quadftc_flight.fault_schedule import UNKNOWN_KIND, FaultEvent
 from quadftc_flight.graph.plan import GraphError
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import AXES
@@ -41,6 +43,8 @@ ROTOR_FAULTS = (
     ("rotor 1 loses 30 %", 0, "loss rotors=1 value=30%"),
     ("rotor 3 loses 15 %", 0, "loss rotors=3 value=15%"),
 )
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+BEFORE, MOST = 1.0, 50  # s, before a fault to which one goes; faults of a recording that are listed
 SLIDERS = {  # target -> name, unit shown, SI per unit, least, largest, step
     "attitude": (
         ("roll", "°", math.radians(1.0), -20.0, 20.0, 0.5),
@@ -69,22 +73,32 @@ class Flown:
     simulated: bool = True  # with plant and fault injector; False: a vehicle that exists
 
 
-def add_page(app: FastAPI, picture: Picture, commander: Commander, flown: Flown) -> None:
-    """Add the page to an application."""
+def add_page(
+    app: FastAPI, picture: Picture, commander: Commander, flown: Flown, player: Player | None = None
+) -> None:
+    """Add the page to an application; ``player`` plays the flight if it was recorded."""
 
     @ui.page("/")
     def page() -> None:
         ui.add_css(STYLE)
-        _Page(picture, commander, flown)
+        _Page(picture, commander, flown, player)
 
     ui.run_with(app, title="quadftc live", dark=None, tailwind=False, show_welcome_message=False)
+
+
+def words_of(event: FaultEvent) -> str:
+    """Say when which element of a component was faulty, and how, as far as that is known."""
+    names = AXES if event.component == "attitude" else "xyz"
+    element = names[AXES.index(event.axis)] if event.axis in AXES else event.axis
+    kind = "" if event.kind == UNKNOWN_KIND else f": {event.kind}"
+    return f"{event.start:.2f} to {event.stop:.2f} s  {event.component} {element}{kind}"
 
 
 class _Page:
     """One page, for as long as a browser shows it."""
 
-    def __init__(self, picture: Picture, commander: Commander, flown: Flown) -> None:
-        self._picture, self._commander, self._flown = picture, commander, flown
+    def __init__(self, picture: Picture, commander: Commander, flown: Flown, player: Player | None) -> None:
+        self._picture, self._commander, self._flown, self._player = picture, commander, flown, player
         self._chips: dict[str, Any] = {}
         self._shown: dict[str, Any] = {}
         with ui.element("div").classes("page"):
@@ -92,12 +106,17 @@ class _Page:
             with ui.element("div").classes("stage"):
                 self._scene = VehicleScene(picture)
                 self._legend()
+                if player is not None:
+                    self._seeking = False
+                    self._controls(player)
             with ui.element("div").classes("side"):
                 self._components()
                 if flown.simulated:
                     self._faults()
                 if flown.home is not None:
                     self._setpoints()
+                if player is not None:
+                    self._recorded_faults(player)
             with ui.element("div").classes("lower"):
                 self._axis_choice()
                 self._charts = StripCharts(picture)
@@ -111,7 +130,8 @@ class _Page:
             ui.label(self._flown.parts).classes("parts")
             ui.element("div").classes("space")
             of_plant = ("lost", "speed") if self._flown.simulated else ()
-            for name in ("time", "rate", *of_plant, "mode"):
+            of_flight = () if self._player else ("time", "rate", *of_plant)
+            for name in (*of_flight, "mode"):
                 self._shown[name] = ui.label().classes("number").props(f'data-show="{name}"')
 
     def _legend(self) -> None:
@@ -183,6 +203,46 @@ class _Page:
                     slider.props(f'aria-label="{target} setpoint: {name} [{unit}]"')
                     slider.on("update:model-value", partial(take, name, unit, scale, shown), throttle=0.1)
 
+    def _controls(self, player: Player) -> None:
+        """Lay play, pause, the slider and the speed over the picture."""
+
+        def pan(event: Any) -> None:
+            self._seeking = event.args == "start"
+
+        def seek(event: Any) -> None:
+            player.wanted = float(event.args)
+
+        def hasten(event: Any) -> None:
+            player.speed = float(event.value)
+
+        with ui.element("div").classes("player"):
+            self._play = ui.button(color=None, on_click=player.toggle).props("flat round data-play")
+            self._moment = ui.slider(min=0.0, max=player.duration, step=0.1, value=player.time)
+            self._moment.props('color=grey-7 aria-label="time of the flight [s]" data-seek')
+            self._moment.on("pan", pan)
+            self._moment.on("update:model-value", seek, throttle=0.1)
+            self._shown["moment"] = ui.label().classes("number").props('data-show="moment"')
+            speeds = {speed: f"{speed:g} x" for speed in sorted({*SPEEDS, player.speed})}
+            choice = ui.select(speeds, value=player.speed, on_change=hasten)
+            choice.props('dense borderless options-dense aria-label="speed" data-speed')
+
+    def _recorded_faults(self, player: Player) -> None:
+        """List the faults of a recording, each with a way there."""
+
+        def go(event: FaultEvent) -> None:
+            if event.axis in AXES:
+                self._axis.set_value(event.axis)
+            player.wanted, player.playing = event.start - BEFORE, True
+
+        with ui.element("section"):
+            ui.label("Faults in the recording").classes("heading-2")
+            with ui.element("div").classes("buttons recorded"):
+                for event in player.events[:MOST]:
+                    button = ui.button(words_of(event), color=None, on_click=partial(go, event))
+                    button.props("unelevated no-caps dense align=left data-event")
+            more = f"{len(player.events) - MOST} more. " if len(player.events) > MOST else ""
+            ui.label(f"{more or ('' if player.events else 'None known. ')}A recording takes no new faults.")
+
     def _axis_choice(self) -> None:
         def choose(event: Any) -> None:
             self._charts.choose(AXES.index(event.value))
@@ -221,22 +281,29 @@ class _Page:
         """Show states and numbers."""
         picture = self._picture
         findings: list[str] = []
-        for component, elements in picture.states().items():
+        states = picture.states()
+        for component, elements in states.items():
             for element, state in elements.items():
                 self._mark(f"{component}/{element}", state)
                 if state.name in ("faulty", "ambiguous", "recovering") and " since " in state.words:
                     findings.append(f"{component} {element}: {state.words}")
-        self._set("findings", "\n".join(findings) or "no fault found")
+        watched = any(state.name != "unwatched" for each in states.values() for state in each.values())
+        nothing = "no fault found" if watched else "the observer watches no component"
+        self._set("findings", "\n".join(findings) or nothing)
         said: dict[str, list[str]] = {}  # by words, who says so
         for _, name, words in picture.warnings():
             if "fault" not in name:
                 said.setdefault(words, []).append(name.partition(":")[0].removesuffix(AUTOPILOT[0]))
         self._set("warnings", "\n".join(f"{', '.join(names)}: {words}" for words, names in said.items()))
-        self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
-        rates = (picture.value(node, part, "rate_hz") for node, part in RATES)
-        self._set("rate", f"{next(filter(None, rates), '-')} Hz")
         mode = picture.value(*AUTOPILOT, "mode")
-        self._set("mode", f"autopilot: {mode}" if mode else f"controller: {picture.mode()}")
+        silent = "control/status" in picture.silent  # an autopilot flew, whose mode was not recorded
+        self._set("mode", f"autopilot: {mode}" if mode else "" if silent else f"controller: {picture.mode()}")
+        if self._player is not None:
+            self._tell_moment(self._player)
+        else:
+            self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
+            rates = (picture.value(node, part, "rate_hz") for node, part in RATES)
+            self._set("rate", f"{next(filter(None, rates), '-')} Hz")
         self._show_angles()
         if self._flown.simulated:
             lost = picture.value("plant", "flight", "without_torque") or "0"
@@ -250,6 +317,14 @@ class _Page:
             self._set("speed", words)
             self._shown["speed"].classes(add="slow" if slow else "", remove="" if slow else "slow")
             self._list_injected()
+
+    def _tell_moment(self, player: Player) -> None:
+        """Show where a recording is."""
+        self._play.props(f"icon={'pause' if player.playing else 'play_arrow'}")
+        self._play.props(f"aria-label={'pause' if player.playing else 'play'}")
+        self._set("moment", f"{player.time:.1f} / {player.duration:.1f} s")
+        if not self._seeking:
+            self._moment.set_value(round(player.time, 2))
 
     def _show_angles(self) -> None:
         """Say what the angle of the axis that the charts show is."""

@@ -55,7 +55,8 @@ class Picture:
         self.over = False  # the flight has ended
         self._condition = RotorConditionReader(len(vehicle.rotors.positions))
         self._statuses: dict[str, Any] = {}
-        self._begin_ns = 0
+        self.begin_ns = 0  # stamp at which the flight began; 0: that of the first sample that comes
+        self.silent: frozenset[str] = frozenset()  # topics on which nothing ever comes
         self._next_ns = 0
         self._clocks: deque[tuple[float, float]] = deque(maxlen=SPAN)  # s; of the machine, of the flight
 
@@ -67,17 +68,24 @@ class Picture:
         for data in frame.diagnostics:
             self._statuses |= {status.name: status for status in read_message(data, DiagnosticArray).status}
         stamp_ns = self.latest.stamp_ns()
-        self._begin_ns = self._begin_ns or stamp_ns
+        self.begin_ns = self.begin_ns or stamp_ns
         if stamp_ns >= self._next_ns:
             self._next_ns = stamp_ns + CHART_PERIOD_NS
             self.rows.append(self._row())
             self.count += 1
             self._clocks.append((time.monotonic(), self.time))
 
+    def forget(self) -> None:
+        """Forget all that came, as what comes next is from another time of the flight."""
+        self.latest.forget()
+        self.rows.clear()
+        self._statuses.clear()
+        self._next_ns = 0
+
     @property
     def time(self) -> float:
         """Time since the first sample that was shown [s]."""
-        return (self.latest.stamp_ns() - self._begin_ns) / NANOSECONDS
+        return (self.latest.stamp_ns() - self.begin_ns) / NANOSECONDS
 
     @property
     def speed(self) -> float:
@@ -100,7 +108,7 @@ class Picture:
             [self.time],
             NOTHING if reference is None else np.degrees(reference.angles),
             *(angles.get(role, NOTHING) for role in SOURCES),
-            np.degrees(_or_nothing(latest.read("plant/rate", vector_of))),
+            np.degrees(_or_nothing(latest.body_rate())),
             *(np.degrees(rate) for rate in rates),
             np.degrees(_or_nothing(latest.read("fault/injected", vector_of))),
             *(np.degrees(estimate), np.degrees(estimate - 2.0 * sigma), np.degrees(4.0 * sigma)),
@@ -180,7 +188,7 @@ class Picture:
         name = (
             "ambiguous" if fault.ambiguous_with else "faulty" if fault.state == fault.FAULTY else "recovering"
         )
-        onset = (fault.onset.sec * NANOSECONDS + fault.onset.nanosec - self._begin_ns) / NANOSECONDS
+        onset = (fault.onset.sec * NANOSECONDS + fault.onset.nanosec - self.begin_ns) / NANOSECONDS
         words = f"{fault.kind} {amount(fault.size, fault.std_dev, fault.unit)}, since {onset:.2f} s"
         if fault.ambiguous_with:
             words += f"; or {', '.join(each.replace('/', ' ') for each in fault.ambiguous_with)}"

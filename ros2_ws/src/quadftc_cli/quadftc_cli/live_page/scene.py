@@ -93,6 +93,8 @@ class VehicleScene:
             length = max(0.02, THRUST_LENGTH * round(thrust / share, 3)) * self._span
             shaft.scale(1.0, length, 1.0).move(z=0.5 * length)
             head.move(z=length)
+        if latest.flies:
+            self._target.visible(reference is not None)
         if latest.flies and reference is not None:
             self._target.move(*reference.tolist())
         self._camera.follow(place.tolist())

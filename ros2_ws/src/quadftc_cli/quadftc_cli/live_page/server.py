@@ -16,7 +16,9 @@ import os
 import secrets
 import socket
 import sys
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from functools import partial
 from pathlib import Path
 
 import uvicorn
@@ -26,24 +28,32 @@ from quadftc_cli.live_page.commander import Commander
 from quadftc_cli.live_page.feed import receive
 from quadftc_cli.live_page.page import Flown, add_page
 from quadftc_cli.live_page.picture import Picture
+from quadftc_cli.live_page.player import Player, read_recorded
+from quadftc_cli.screen import say
 from quadftc_model.vehicle import load_vehicle
 from quadftc_report.serve.access import OwnerOnly
 from quadftc_report.serve.connections import ImpatientProtocol, allow_connections
-from quadftc_report.serve.local import address_of, browser_at
+from quadftc_report.serve.local import address_of, browser_at, listen, private_files
 
 OUTPUTS = Path("results")
 NICE = 5  # of the page, and of a browser that it opens
 LAST_WORDS = 0.5  # s; for the page to say that the flight has ended
 
 
-def make_app(
-    channel: socket.socket, listener: socket.socket, flown: Flown, server: list[uvicorn.Server], opens: bool
-) -> FastAPI:
-    """Build the application on the socket from which the flight comes; at its end it stops the server."""
-    vehicle = load_vehicle(flown.vehicle)
-    picture = Picture(vehicle, "free_flight" if flown.plant == "free_flight" else "test_stand")
-    commander = Commander(flown.namespace)
-    token = secrets.token_urlsafe()
+Source = Callable[[str], AbstractAsyncContextManager[None]]  # feeds a picture meanwhile; takes the address
+
+
+def picture_of(flown: Flown) -> Picture:
+    """Return an empty picture of a flight."""
+    plant = "free_flight" if flown.plant == "free_flight" else "test_stand"
+    return Picture(load_vehicle(flown.vehicle), plant)
+
+
+@asynccontextmanager
+async def following(
+    channel: socket.socket, picture: Picture, server: list[uvicorn.Server], address: str
+) -> AsyncGenerator[None]:
+    """Take what comes on the socket of a flight; at its end stop the server."""
 
     def take() -> None:
         frame = receive(channel)
@@ -59,23 +69,44 @@ def make_app(
     def stop() -> None:
         server[0].should_exit = True
 
-    @contextlib.asynccontextmanager
+    asyncio.get_running_loop().add_reader(channel, take)
+    with contextlib.suppress(OSError):  # the flight is over already, as `take` will find
+        channel.send(address.encode())
+    yield
+
+
+@asynccontextmanager
+async def playing(player: Player, address: str) -> AsyncGenerator[None]:
+    """Play a recorded flight."""
+    say(f"page:   {address}", stderr=True)
+    task = asyncio.create_task(player.run())
+    yield
+    task.cancel()
+
+
+def make_app(
+    page: tuple[Picture, Flown, Player | None], listener: socket.socket, source: Source, opens: bool
+) -> FastAPI:
+    """Build the application of a page, whose picture is fed by a source."""
+    picture, flown, player = page
+    commander = Commander(flown.namespace)
+    token = secrets.token_urlsafe()
+
+    @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncGenerator[None]:
-        loop = asyncio.get_running_loop()
-        loop.add_reader(channel, take)
         address = address_of(listener, token)
-        with contextlib.suppress(OSError):  # the flight is over already, as `take` will find
-            channel.send(address.encode())
-        with browser_at(address, OUTPUTS) if opens else contextlib.nullcontext():
-            try:
-                yield
-            except asyncio.CancelledError:  # a second Ctrl-C: uvicorn has nothing to add
-                logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
-                raise
+        browser = browser_at(address, OUTPUTS) if opens else contextlib.nullcontext()
+        async with source(address):
+            with browser:
+                try:
+                    yield
+                except asyncio.CancelledError:  # a second Ctrl-C: uvicorn has nothing to add
+                    logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+                    raise
         commander.close()
 
     app = FastAPI(title="quadftc live", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
-    add_page(app, picture, commander, flown)
+    add_page(app, picture, commander, flown, player)
     app.add_middleware(OwnerOnly, token=token)
     return app
 
@@ -95,7 +126,25 @@ def main(channel: int, listener: int, flown: str, *options: str) -> None:
     give_way()
     server: list[uvicorn.Server] = []
     flight, browsers = socket.socket(fileno=channel), socket.socket(fileno=listener)
-    app = make_app(flight, browsers, Flown(**json.loads(flown)), server, "open" in options)
+    flying = Flown(**json.loads(flown))
+    picture = picture_of(flying)
+    source = partial(following, flight, picture, server)
+    serve(make_app((picture, flying, None), browsers, source, "open" in options), browsers, server)
+
+
+def show_recorded(bag: Path, speed: float, namespace: str, port: int, opens: bool) -> None:
+    """Serve the page of a recorded flight until Ctrl-C; a ValueError says what is wrong with it."""
+    recorded = read_recorded(bag, namespace)
+    flown = Flown(**recorded.flown)
+    picture = picture_of(flown)
+    player = Player(recorded, picture, speed)
+    with private_files(), listen(port) as listener, contextlib.suppress(KeyboardInterrupt):
+        say(f"{flown.title}: {flown.parts}", *recorded.warnings, stderr=True)
+        serve(make_app((picture, flown, player), listener, partial(playing, player), opens), listener, [])
+
+
+def serve(app: FastAPI, listener: socket.socket, server: list[uvicorn.Server]) -> None:
+    """Serve an application; ``server`` gets what serves it."""
     allow_connections()
     config = uvicorn.Config(
         app,
@@ -106,7 +155,7 @@ def main(channel: int, listener: int, flown: str, *options: str) -> None:
         timeout_graceful_shutdown=1,
     )
     server.append(uvicorn.Server(config))
-    server[0].run(sockets=[browsers])
+    server[0].run(sockets=[listener])
 
 
 if __name__ == "__main__":
