@@ -47,71 +47,56 @@ def _shared(*path: str) -> PathJoinSubstitution:
 
 
 def _arguments() -> list[DeclareLaunchArgument]:
-    return [
-        DeclareLaunchArgument("namespace", default_value="", description="Namespace of the vehicle."),
-        DeclareLaunchArgument(
-            "frame_prefix",
-            default_value=IfElseSubstitution(
+    rows = {  # name: default, what it is, choices
+        "namespace": ("", "Namespace of the vehicle."),
+        "frame_prefix": (
+            IfElseSubstitution(
                 EqualsSubstitution(LaunchConfiguration("namespace"), ""),
                 if_value="",
                 else_value=[LaunchConfiguration("namespace"), "/"],
             ),
-            description="In front of base_link and imu_link in messages and /tf; default: the namespace.",
+            "In front of base_link and imu_link in messages and /tf; default: the namespace.",
         ),
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=_shared("config", "graph.yaml"),
-            description="Parameter file for any of the nodes; there is one for each vehicle.",
+        "params_file": (
+            _shared("config", "graph.yaml"),
+            "Parameter file for any of the nodes; there is one for each vehicle.",
         ),
-        DeclareLaunchArgument(
-            "mode",
-            default_value="realtime",
-            choices=["realtime", "lockstep"],
-            description="realtime: wall clock; lockstep: the plant waits for each torque.",
+        "mode": (
+            "realtime",
+            "realtime: wall clock; lockstep: the plant waits for each torque.",
+            "realtime",
+            "lockstep",
         ),
-        DeclareLaunchArgument(
-            "use_sim_time",
-            default_value=EqualsSubstitution(LaunchConfiguration("mode"), "lockstep"),
-            description="Whether the nodes follow /clock, which the plant publishes in lock-step.",
+        "use_sim_time": (
+            EqualsSubstitution(LaunchConfiguration("mode"), "lockstep"),
+            "Whether the nodes follow /clock, which the plant publishes in lock-step.",
         ),
-        DeclareLaunchArgument(
-            "plant_kind",
-            default_value="test_stand",
-            choices=[*GUIDANCE],
-            description="test_stand: follow attitudes; free_flight: follow positions, command rotor speeds.",
+        "plant_kind": (
+            "test_stand",
+            "test_stand: follow attitudes; free_flight: follow positions, command rotor speeds.",
+            *GUIDANCE,
         ),
-        DeclareLaunchArgument(
-            "engine",
-            default_value="c",
-            choices=["c", "numpy"],
-            description="What runs the laws: C that is generated from them, or NumPy, the reference.",
+        "engine": (
+            "c",
+            "What runs the laws: C that is generated from them, or NumPy, the reference.",
+            "c",
+            "numpy",
         ),
-        DeclareLaunchArgument(
-            "simulate", default_value="true", description="Start the plant and the fault injector."
+        "simulate": ("true", "Start the plant and the fault injector."),
+        "start": ("true", "Call plant/start when all nodes are up."),
+        "respawn": (
+            "false",
+            "Start a node again that dies in flight (not the plant): it resumes where it was.",
         ),
-        DeclareLaunchArgument(
-            "start",
-            default_value="true",
-            description="Call plant/start when all nodes are up.",
-        ),
-        DeclareLaunchArgument(
-            "respawn",
-            default_value="false",
-            description="Start a node again that dies in flight (not the plant): it resumes where it was.",
-        ),
-        DeclareLaunchArgument("imu", default_value="imu/data", description="Topic of the IMU."),
-        DeclareLaunchArgument("torque", default_value="torque/command", description="Topic of the torque."),
-        DeclareLaunchArgument(
-            "scene", default_value="false", description="Draw the vehicle for RViz and Foxglove, with /tf."
-        ),
-        DeclareLaunchArgument(
-            "monitor",
-            default_value="false",
-            description="Group /diagnostics for rqt_robot_monitor, by diagnostic_aggregator.",
-        ),
-        DeclareLaunchArgument(
-            "bag", default_value="", description="New directory to record into; empty: none."
-        ),
+        "imu": ("imu/data", "Topic of the IMU."),
+        "torque": ("torque/command", "Topic of the torque."),
+        "scene": ("false", "Draw the vehicle for RViz and Foxglove, with /tf."),
+        "monitor": ("false", "Group /diagnostics for rqt_robot_monitor, by diagnostic_aggregator."),
+        "bag": ("", "New directory to record into; empty: none."),
+    }
+    return [
+        DeclareLaunchArgument(name, default_value=default, description=about, choices=choices or None)
+        for name, (default, about, *choices) in rows.items()
     ]
 
 

@@ -217,27 +217,15 @@ def load_campaign(
     if found := [*_find_not_flown(keys, build is not None)]:
         raise document.error(found)
     base, scenario = _read_scenario(document, keys, assignments, build or build_scenario)
-    # what contradicts the source of the samples
-    problems, bags = [*_find_unknown_parts(keys, scenario)], tuple[Path, ...]()
-    is_loop = keys.source.kind == "loop"
-    if engine == JAX and not is_loop:
-        said = f"{keys.source.kind}: expected 'loop', which alone flies in JAX"
-        problems.append(Problem(("source", "kind"), said))
-    if scenario.plant.flies and keys.source.kind not in ("loop", SITL):
-        said = f"{keys.source.kind}: expected 'loop', as a free flight has no motion without its loop"
-        problems.append(Problem(("source", "kind"), said))
-    if keys.source.kind == "recordings":
-        named = recordings or keys.source.directory
-        directory = recordings or path.parent / keys.source.directory
-        bags = bags_in(directory) if named else ()
-        said = f"{directory}: holds no bag" if named else "no directory is named"
-        wrong = Problem(("source", "directory"), f"{said}; expected rosbag2 bags (--recordings)")
-        problems += [] if bags else [wrong]
+    problems = [*_find_unknown_parts(keys, scenario), *_find_unsuited(keys, scenario, engine)]
+    bags, missing = _find_bags(path, keys, recordings)
+    problems += missing
     # paths with a star become one for each fault; schemes, observers and controllers are crossed
     given: dict[str, Any] = dict(keys)
     given |= {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
     given |= {"vary": _expand_paths(keys, base, problems), "variants": _variants(keys, scenario)}
-    given["engine"] = engine or (JAX if is_loop and has_accelerator() else ENGINES[0])
+    flies_in_jax = keys.source.kind == "loop" and has_accelerator()
+    given["engine"] = engine or (JAX if flies_in_jax else ENGINES[0])
     campaign = Campaign.model_construct(None, **given, document=document, base=base, recordings=bags)
     if campaign.cells > MAX_CELLS:
         problems.append(Problem(("vary",), f"{campaign.cells} combinations of grids: at most {MAX_CELLS}"))
@@ -251,6 +239,30 @@ def load_campaign(
     if problems:
         raise document.error(problems)
     return campaign
+
+
+def _find_unsuited(keys: CampaignKeys, scenario: Scenario, engine: str | None) -> Iterator[Problem]:
+    """Yield what contradicts the source of the samples."""
+    kind = keys.source.kind
+    if engine == JAX and kind != "loop":
+        yield Problem(("source", "kind"), f"{kind}: expected 'loop', which alone flies in JAX")
+    if scenario.plant.flies and kind not in ("loop", SITL):
+        said = f"{kind}: expected 'loop', as a free flight has no motion without its loop"
+        yield Problem(("source", "kind"), said)
+
+
+def _find_bags(
+    path: Path, keys: CampaignKeys, recordings: Path | None
+) -> tuple[tuple[Path, ...], list[Problem]]:
+    """Return the bags of a campaign on recordings, and what is wrong if there are none."""
+    if keys.source.kind != "recordings":
+        return (), []
+    directory = recordings or path.parent / keys.source.directory
+    is_named = bool(recordings or keys.source.directory)
+    bags = bags_in(directory) if is_named else ()
+    said = f"{directory}: holds no bag" if is_named else "no directory is named"
+    wrong = Problem(("source", "directory"), f"{said}; expected rosbag2 bags (--recordings)")
+    return bags, [] if bags else [wrong]
 
 
 def _model_at(path: Keys) -> type[BaseModel]:

@@ -13,7 +13,7 @@ import dataclasses
 import inspect
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from quadftc_compile import emit
 from quadftc_compile import places as _places  # noqa: F401
 from quadftc_compile import sums as _sums  # noqa: F401
 from quadftc_compile.emit import Storage
-from quadftc_compile.graph import Graph, Source, UntraceableError, graph_of
+from quadftc_compile.graph import Graph, Node, Source, UntraceableError, graph_of
 from quadftc_compile.layout import (
     C_TYPES,
     Layout,
@@ -262,52 +262,25 @@ class _Writer:
             n: with_real(layout_of(v), self._code)
             for n, v in zip(function.results, traced.results, strict=True)
         }
-        # parameters, and for each input of the graph the text that reads it
-        name = f"{self._name}_{key}"
-        parameters = [f"const {self._structs.name_of(self._layout, 'numbers')} *restrict numbers"]
-        texts = ["" for _ in graph.inputs]
-        for k, path in enumerate(self._places):
-            texts[k] = f"numbers->{member(path_members(path))}" if path in self._used else "0"
-        at = len(self._places)
-        for argument, layout in arguments.items():
-            kind = function.kinds.get(argument, argument)
-            if layout[0] == "array":
-                parameters.append(f"const {C_TYPES[layout[1]]} *restrict {argument}")
-            else:
-                parameters.append(f"const {self._structs.name_of(layout, kind)} *restrict {argument}")
-            for text in _texts_of(layout, argument):
-                texts[at] = text
-                at += 1
-        # the same for the results
-        outputs: list[str] = []
-        for result, layout in results.items():
-            kind = function.kinds.get(result, result)
-            if layout[0] == "array":
-                parameters.append(f"{C_TYPES[layout[1]]} *restrict {result}")
-            else:
-                parameters.append(f"{self._structs.name_of(layout, kind)} *restrict {result}")
-            outputs += _texts_of(layout, result)
-        emitter = emit.Emitter(self._real, self._tables)
-        emitter.emit(
-            graph,
-            [Storage(text, node.shape == ()) for text, node in zip(texts, graph.inputs, strict=True)],
-            [Storage(text, node.shape == ()) for text, node in zip(outputs, graph.outputs, strict=True)],
+        # parameters, and for each input and output of the graph the text of its place
+        numbers = f"const {self._structs.name_of(self._layout, 'numbers')} *restrict numbers"
+        taken, read = self._declare(arguments, function.kinds, "const ")
+        given, written = self._declare(results, function.kinds, "")
+        parameters = [numbers, *taken, *given]
+        of_numbers = (
+            f"numbers->{member(path_members(path))}" if path in self._used else "0" for path in self._places
         )
+        emitter = emit.Emitter(self._real, self._tables)
+        emitter.emit(graph, _storages((*of_numbers, *read), graph.inputs), _storages(written, graph.outputs))
         emitter.mark_unread()
-        # compilers are told of parameters that nothing reads
-        unused = [each.split()[-1].lstrip("*") for each in parameters]
-        body = "\n".join(emitter.lines)
-        quiet = [
-            f"    (void){each};"
-            for each in unused
-            if f"{each}->" not in body and f"*{each}" not in body and f"{each}[" not in body
-        ]
         empty = [
             f"    {n}->nothing = 0;"
             for n, layout in results.items()
             if layout[0] == "tuple" and not leaves_of(layout)
         ]
+        name = f"{self._name}_{key}"
         signature = f"void {name}(\n    " + ",\n    ".join(parameters) + ")"
+        quiet = _quiet(parameters, "\n".join(emitter.lines))
         self._declarations.append(signature)
         self._bodies.append(
             "\n".join([signature + "\n{", *quiet, *empty, *emitter.arrays, *emitter.lines, "}\n"])
@@ -317,6 +290,17 @@ class _Writer:
         )
         if "before" in arguments and "after" in results:
             self._write_run(self._compiled[key])
+
+    def _declare(
+        self, layouts: Mapping[str, Layout], kinds: Mapping[str, str], const: str
+    ) -> tuple[list[str], list[str]]:
+        """Return a parameter for each value, and the texts of all their parts."""
+        parameters: list[str] = []
+        texts: list[str] = []
+        for name, layout in layouts.items():
+            parameters.append(f"{const}{self._kind(layout, kinds.get(name, name))} *restrict {name}")
+            texts += _texts_of(layout, name)
+        return parameters, texts
 
     def _write_run(self, step: Compiled) -> None:
         """Write a function that calls a step for many samples; ``state`` is that before, then that after."""
@@ -357,6 +341,21 @@ class _Writer:
     def _kind(self, layout: Layout, name: str) -> str:
         """Return the type of an argument or a result."""
         return C_TYPES[layout[1]] if layout[0] == "array" else self._structs.name_of(layout, name)
+
+
+def _storages(texts: Iterable[str], nodes: Sequence[Node]) -> list[Storage]:
+    """Return where the inputs or outputs of a graph are kept."""
+    return [Storage(text, node.shape == ()) for text, node in zip(texts, nodes, strict=True)]
+
+
+def _quiet(parameters: Sequence[str], body: str) -> list[str]:
+    """Return what tells compilers of parameters that nothing reads."""
+    names = [each.split()[-1].lstrip("*") for each in parameters]
+    return [
+        f"    (void){name};"
+        for name in names
+        if f"{name}->" not in body and f"*{name}" not in body and f"{name}[" not in body
+    ]
 
 
 def _texts_of(layout: Layout, name: str) -> list[str]:

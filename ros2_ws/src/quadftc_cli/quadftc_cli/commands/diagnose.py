@@ -16,42 +16,50 @@ EXIT_CODES = {"healthy": GOOD, "fault": CHECK_FAILED, "not enough to say": NOT_E
 FAULT_HELP = "Overlay a fault: 'bias channel=gyro axis=roll value=0.3 start=20s'; may be repeated."
 
 
+Log = Annotated[Path, Argument(metavar="LOG", help=options.LOG_HELP)]
+Baseline = Annotated[
+    Path | None,
+    Option(metavar="LOG", help="Healthy flight of the same vehicle, to compare the rotors with."),
+]
+BaselineLog = Annotated[
+    int,
+    Option(min=0, metavar="N", show_default=False, help="Which of several logs in the file of the baseline."),
+]
+Fault = Annotated[list[str], Option(metavar="SPEC", help=FAULT_HELP)]
+VehicleName = Annotated[
+    str, Option(help="Vehicle, by name or TOML file, for the layout of the rotors; default: the log's.")
+]
+Seed = Annotated[int, Option(help="Seed of random faults.")]
+FalseAlarms = Annotated[
+    str,
+    Option(metavar="LEVEL", help="Flights with a false finding at most, such as 1/5h; default: as it is."),
+]
+Out = Annotated[
+    Path | None,
+    Option(
+        help="Page, with its verdict as .json beside it; or a directory for report.html and verdict.json;"
+        " default: results/LOG-diagnosis.",
+        metavar="FILE.html|DIR",
+    ),
+]
+Junit = Annotated[Path | None, Option(metavar="FILE", help="Write the verdict as JUnit XML, too.")]
+HasReport = Annotated[bool, Option(help="Write report.html beside the verdict.")]
+
+
 def diagnose(
-    log: Annotated[Path, Argument(metavar="LOG", help=options.LOG_HELP)],
+    log: Log,
     number: options.NumberOption = 0,
     system: options.SystemOption = 0,
     mapping: options.MappingOption = None,
-    baseline: Annotated[
-        Path | None,
-        Option(metavar="LOG", help="Healthy flight of the same vehicle, to compare the rotors with."),
-    ] = None,
-    baseline_log: Annotated[
-        int,
-        Option(
-            min=0, metavar="N", show_default=False, help="Which of several logs in the file of the baseline."
-        ),
-    ] = 0,
-    fault: Annotated[list[str], Option(metavar="SPEC", help=FAULT_HELP)] = [],  # noqa: B006
-    vehicle: Annotated[
-        str, Option(help="Vehicle, by name or TOML file, for the layout of the rotors; default: the log's.")
-    ] = "",
-    seed: Annotated[int, Option(help="Seed of random faults.")] = 0,
-    false_alarms: Annotated[
-        str,
-        Option(
-            metavar="LEVEL", help="Flights with a false finding at most, such as 1/5h; default: as it is."
-        ),
-    ] = "",
-    out: Annotated[
-        Path | None,
-        Option(
-            help="Page, with its verdict as .json beside it; or a directory for report.html and verdict.json;"
-            " default: results/LOG-diagnosis.",
-            metavar="FILE.html|DIR",
-        ),
-    ] = None,
-    junit: Annotated[Path | None, Option(metavar="FILE", help="Write the verdict as JUnit XML, too.")] = None,
-    report: Annotated[bool, Option(help="Write report.html beside the verdict.")] = True,
+    baseline: Baseline = None,
+    baseline_log: BaselineLog = 0,
+    fault: Fault = [],  # noqa: B006
+    vehicle: VehicleName = "",
+    seed: Seed = 0,
+    false_alarms: FalseAlarms = "",
+    out: Out = None,
+    junit: Junit = None,
+    report: HasReport = True,
 ) -> int:
     """Say what failed in a flight log, when, how badly and how sure.
 

@@ -25,35 +25,45 @@ class Autopilot(str, Enum):
     PX4 = "px4"
 
 
+Law = Annotated[
+    str,
+    Argument(
+        metavar="[LAW|BAG]",
+        help="A fault observer, a disturbance observer or a controller, see quadftc list; with --log any"
+        " flight log.",
+        autocompletion=complete_law,
+    ),
+]
+VehicleName = Annotated[str, Option(help="Vehicle that it is for, by name or TOML file.")]
+IsSingle = Annotated[bool, Option("--float", help="In single precision; default: double.")]
+Flies = Annotated[
+    bool, Option("--free-flight", help="With rotors and position; default: the test stand's inputs.")
+]
+Settings = Annotated[list[str], Option("--set", help="Parameter of the law: name=value; may be repeated.")]
+Samples = Annotated[
+    Path | None,
+    Option(metavar="BAG", help="Write a recording as a file of samples (CSV) for the law instead."),
+]
+Topic = Annotated[str, Option(help="Topic of the IMU of the recording, see quadftc replay.")]
+LogOf = Annotated[
+    Autopilot | None,
+    Option(help="Write BAG as this autopilot logs a flight by default instead: .BIN or ULog."),
+]
+Out = Annotated[Path | None, Option(help="Directory of the C; file of the samples or of the log.")]
+Force = Annotated[bool, Option("--force", help="Write over what is there.")]
+
+
 def export(
-    law: Annotated[
-        str,
-        Argument(
-            metavar="[LAW|BAG]",
-            help="A fault observer, a disturbance observer or a controller, see quadftc list; with --log any"
-            " flight log.",
-            autocompletion=complete_law,
-        ),
-    ] = "",
-    vehicle: Annotated[str, Option(help="Vehicle that it is for, by name or TOML file.")] = "",
-    single: Annotated[bool, Option("--float", help="In single precision; default: double.")] = False,
-    flies: Annotated[
-        bool, Option("--free-flight", help="With rotors and position; default: the test stand's inputs.")
-    ] = False,
-    set_: Annotated[
-        list[str], Option("--set", help="Parameter of the law: name=value; may be repeated.")
-    ] = [],  # noqa: B006
-    samples: Annotated[
-        Path | None,
-        Option(metavar="BAG", help="Write a recording as a file of samples (CSV) for the law instead."),
-    ] = None,
-    topic: Annotated[str, Option(help="Topic of the IMU of the recording, see quadftc replay.")] = "",
-    log: Annotated[
-        Autopilot | None,
-        Option(help="Write BAG as this autopilot logs a flight by default instead: .BIN or ULog."),
-    ] = None,
-    out: Annotated[Path | None, Option(help="Directory of the C; file of the samples or of the log.")] = None,
-    force: Annotated[bool, Option("--force", help="Write over what is there.")] = False,
+    law: Law = "",
+    vehicle: VehicleName = "",
+    single: IsSingle = False,
+    flies: Flies = False,
+    set_: Settings = [],  # noqa: B006
+    samples: Samples = None,
+    topic: Topic = "",
+    log: LogOf = None,
+    out: Out = None,
+    force: Force = False,
 ) -> int:
     """Write a law as C for the vehicle itself; or a recording as samples for it, or as an autopilot's log.
 

@@ -18,43 +18,54 @@ COLUMNS = tuple(
 )
 
 
+Bag = Annotated[
+    Path,
+    Argument(
+        metavar="BAG",
+        help=options.LOG_HELP,
+    ),
+]
+Topic = Annotated[
+    str, Option(help="Topic of the IMU, or name of a gyro; default: the only one, or imu/data.")
+]
+ObserverName = Annotated[str, Option(help="Fault observer; default: the recorded one with its parameters.")]
+Settings = Annotated[list[str], Option("--set", help="Parameter of the observer: observer.L1=0.1.")]
+VehicleName = Annotated[
+    str, Option(help="Vehicle, by name or TOML file; default: the recorded one, or qball_x4.")
+]
+Fault = Annotated[list[str], Option(metavar="SPEC", help=FAULT_HELP)]
+FaultFiles = Annotated[
+    list[Path],
+    Option(metavar="FILE.yaml", help="Overlay the faults of a file: the key faults of a scenario."),
+]
+Seed = Annotated[int, Option(help="Seed of random faults.")]
+SkipBackwards = Annotated[bool, Option("--skip-backwards", help="Leave out samples whose stamp goes back.")]
+Out = Annotated[Path, Option(help="Directory of the replays.", metavar="DIR")]
+Force = Annotated[bool, Option("--force", help="Replace an earlier replay of the same name.")]
+Check = Annotated[list[str], Option(metavar="SPEC", help=CHECK_HELP)]
+CheckFiles = Annotated[
+    list[Path],
+    Option(metavar="FILE.yaml", help="Hold it to the checks of a file: the key checks of a scheme."),
+]
+
+
 def replay(
-    bag: Annotated[
-        Path,
-        Argument(
-            metavar="BAG",
-            help=options.LOG_HELP,
-        ),
-    ],
+    bag: Bag,
     number: options.NumberOption = 0,
     system: options.SystemOption = 0,
     mapping: options.MappingOption = None,
-    topic: Annotated[
-        str, Option(help="Topic of the IMU, or name of a gyro; default: the only one, or imu/data.")
-    ] = "",
-    observer: Annotated[
-        str, Option(help="Fault observer; default: the recorded one with its parameters.")
-    ] = "",
-    set_: Annotated[list[str], Option("--set", help="Parameter of the observer: observer.L1=0.1.")] = [],  # noqa: B006
-    vehicle: Annotated[
-        str, Option(help="Vehicle, by name or TOML file; default: the recorded one, or qball_x4.")
-    ] = "",
-    fault: Annotated[list[str], Option(metavar="SPEC", help=FAULT_HELP)] = [],  # noqa: B006
-    faults: Annotated[
-        list[Path],
-        Option(metavar="FILE.yaml", help="Overlay the faults of a file: the key faults of a scenario."),
-    ] = [],  # noqa: B006
-    seed: Annotated[int, Option(help="Seed of random faults.")] = 0,
-    skip_backwards: Annotated[
-        bool, Option("--skip-backwards", help="Leave out samples whose stamp goes back.")
-    ] = False,
-    out: Annotated[Path, Option(help="Directory of the replays.", metavar="DIR")] = Path("results"),
-    force: Annotated[bool, Option("--force", help="Replace an earlier replay of the same name.")] = False,
-    check: Annotated[list[str], Option(metavar="SPEC", help=CHECK_HELP)] = [],  # noqa: B006
-    checks: Annotated[
-        list[Path],
-        Option(metavar="FILE.yaml", help="Hold it to the checks of a file: the key checks of a scheme."),
-    ] = [],  # noqa: B006
+    topic: Topic = "",
+    observer: ObserverName = "",
+    set_: Settings = [],  # noqa: B006
+    vehicle: VehicleName = "",
+    fault: Fault = [],  # noqa: B006
+    faults: FaultFiles = [],  # noqa: B006
+    seed: Seed = 0,
+    skip_backwards: SkipBackwards = False,
+    out: Out = Path("results"),
+    force: Force = False,
+    check: Check = [],  # noqa: B006
+    checks: CheckFiles = [],  # noqa: B006
     junit: options.JunitOption = None,
     engine: options.EngineOption = "c",
 ) -> int:

@@ -17,56 +17,70 @@ from quadftc_cli.screen import Bars, console, plain_table, say
 SAID = 12  # words of the autopilot on the screen
 
 
+Flown = Annotated[
+    str,
+    Argument(
+        help="Scenario of free flight: a file, or a name. Or a campaign file with 'source: sitl'.",
+        autocompletion=options.complete_scenario,
+    ),
+]
+Firmware = Annotated[Literal["ardupilot", "px4"], Option(help="Whose firmware it is.")]
+Binary = Annotated[Path, Option(metavar="FILE", help="Its simulation (SITL), such as arducopter or px4.")]
+Parameters = Annotated[
+    list[Path],
+    Option(metavar="FILE", help="Parameters of the firmware, NAME VALUE a line; may be repeated."),
+]
+SchemeName = Annotated[str, Option(help="Whose observer runs beside; default: the scenario's first.")]
+Guard = Annotated[
+    list[str],
+    Option(
+        metavar="FINDING=ACTION",
+        help="What is done when our observer names a fault, such as gyro=land; may be repeated.",
+    ),
+]
+Seed = Annotated[str, Option(help="Seed of the random numbers.")]
+Catalogue = Annotated[
+    bool, Option("--catalogue", help="Fly all of the scenario's catalogue, not the scenario.")
+]
+Only = Annotated[
+    str, Option(help="Of the catalogue or campaign, the flights of these names, such as 'gyro_*'.")
+]
+Seeds = Annotated[
+    int | None,
+    Option(min=1, help="Flights of each fault of the catalogue, or of the campaign, in place of its own."),
+]
+Jobs = Annotated[int, Option(min=1, help="Flights side by side.")]
+Resume = Annotated[bool, Option("--resume", help="Keep the flights that were flown before.")]
+Force = Annotated[bool, Option("--force", help="Replace flights that were flown before.")]
+IsLive = Annotated[
+    bool,
+    Option("--live", help="Fly in real time, with the page of 'quadftc live': inject faults by hand."),
+]
+Port = Annotated[int, Option(min=0, max=65535, help="Of the page, on 127.0.0.1; 0: any.")]
+Browser = Annotated[bool, Option(help="Open the page in the browser.")]
+Out = Annotated[Path, Option(help="Directory of the flights, each in its own.")]
+
+
 def sitl(
-    scenario: Annotated[
-        str,
-        Argument(
-            help="Scenario of free flight: a file, or a name. Or a campaign file with 'source: sitl'.",
-            autocompletion=options.complete_scenario,
-        ),
-    ],
-    autopilot: Annotated[Literal["ardupilot", "px4"], Option(help="Whose firmware it is.")],
-    binary: Annotated[Path, Option(metavar="FILE", help="Its simulation (SITL), such as arducopter or px4.")],
-    parameters: Annotated[
-        list[Path],
-        Option(metavar="FILE", help="Parameters of the firmware, NAME VALUE a line; may be repeated."),
-    ] = [],  # noqa: B006
-    scheme: Annotated[str, Option(help="Whose observer runs beside; default: the scenario's first.")] = "",
+    scenario: Flown,
+    autopilot: Firmware,
+    binary: Binary,
+    parameters: Parameters = [],  # noqa: B006
+    scheme: SchemeName = "",
     set_: options.SetOption = [],  # noqa: B006
-    guard: Annotated[
-        list[str],
-        Option(
-            metavar="FINDING=ACTION",
-            help="What is done when our observer names a fault, such as gyro=land; may be repeated.",
-        ),
-    ] = [],  # noqa: B006
-    seed: Annotated[str, Option(help="Seed of the random numbers.")] = "",
-    catalogue: Annotated[
-        bool, Option("--catalogue", help="Fly all of the scenario's catalogue, not the scenario.")
-    ] = False,
-    only: Annotated[
-        str, Option(help="Of the catalogue or campaign, the flights of these names, such as 'gyro_*'.")
-    ] = "*",
-    seeds: Annotated[
-        int | None,
-        Option(
-            min=1, help="Flights of each fault of the catalogue, or of the campaign, in place of its own."
-        ),
-    ] = None,
-    jobs: Annotated[int, Option(min=1, help="Flights side by side.")] = 1,
-    resume: Annotated[bool, Option("--resume", help="Keep the flights that were flown before.")] = False,
-    force: Annotated[bool, Option("--force", help="Replace flights that were flown before.")] = False,
-    live: Annotated[
-        bool,
-        Option(
-            "--live",
-            help="Fly in real time, with the page of 'quadftc live': inject faults by hand.",
-        ),
-    ] = False,
-    port: Annotated[int, Option(min=0, max=65535, help="Of the page, on 127.0.0.1; 0: any.")] = 8348,
-    browser: Annotated[bool, Option(help="Open the page in the browser.")] = True,
+    guard: Guard = [],  # noqa: B006
+    seed: Seed = "",
+    catalogue: Catalogue = False,
+    only: Only = "*",
+    seeds: Seeds = None,
+    jobs: Jobs = 1,
+    resume: Resume = False,
+    force: Force = False,
+    live: IsLive = False,
+    port: Port = 8348,
+    browser: Browser = True,
     engine: options.EngineOption = "c",
-    out: Annotated[Path, Option(help="Directory of the flights, each in its own.")] = Path("results"),
+    out: Out = Path("results"),
     junit: options.JunitOption = None,
 ) -> None:
     """Let a real autopilot's firmware fly a scenario with faults; say what it noticed and what came of it."""
@@ -91,19 +105,27 @@ def sitl(
     if force and not resume:
         for job in todo:
             flights.clear(job.out)
-    screen = console()
-    if live:
-        from quadftc_cli.live_page.sitl import showing  # starts ROS
-
-        with showing(plans[0], port, browser) as shown:
-            found = flights.fly_jobs(todo, 1, resume, lambda _done: None, shown)
-    else:
-        with Bars(screen) as bars:
-            update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
-            found = flights.fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
+    screen, show = console(), (plans[0], port, browser) if live else None
+    found = _fly(todo, jobs, resume, screen, show)
     if drawn is not None and (lost := flights.write_lost(todo, found, out)):
         say(f"lost, one scenario each: {lost[0].parent}")
     raise typer.Exit(_show(found, out, screen, junit, drawn))
+
+
+def _fly(
+    todo: Sequence[Any], jobs: int, resume: bool, screen: Any, shown: tuple[Any, int, bool] | None
+) -> list[Any]:
+    """Fly; with plan, port and whether a browser opens, the only flight in real time on the live page."""
+    from quadftc_sitl.catalogue import fly_jobs
+
+    if shown is not None:
+        from quadftc_cli.live_page.sitl import showing  # starts ROS
+
+        with showing(*shown) as live:
+            return fly_jobs(todo, 1, resume, lambda _done: None, live)
+    with Bars(screen) as bars:
+        update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
+        return fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
 
 
 def _show(
