@@ -2,33 +2,51 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
 
+import httpx
 import numpy as np
 import pytest
 from browser import start_browser
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.serialization import serialize_message
 
+from node_bench import NodeBench, imu_message
 from quadftc_bags.bag import read_bag
+from quadftc_cli.live import LiveGraph
 from quadftc_cli.live_page import charts
-from quadftc_cli.live_page.feed import Feed, receive
-from quadftc_cli.live_page.flying import Wish, fly_live, page_of, plan_of, scenario_of
+from quadftc_cli.live_page.attached import follow, page_of_running, vehicles_of
+from quadftc_cli.live_page.commander import Commander
+from quadftc_cli.live_page.feed import Feed, Frame, receive
+from quadftc_cli.live_page.flying import Wish, fly_live, page_of, plan_of, scenario_of, serving
+from quadftc_cli.live_page.page import Flown
 from quadftc_cli.live_page.picture import Picture, amount
+from quadftc_cli.live_page.server import picture_of
+from quadftc_control.controller_node import ControllerNode
+from quadftc_control.reference_node import ReferenceNode
+from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_flight.live_run import live_run
 from quadftc_model.samples import FAULTY, ComponentFault, DiagnosisReport, level_sample
 from quadftc_model.vehicle import load_vehicle
+from quadftc_report.serve.local import listen
 from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.scheduling import ORDINARY
 from quadftc_ros.wire import ImuWire, VectorWire
+from quadftc_sim.fault_injector_node import FaultInjectorNode
 
 SECOND = 1_000_000_000  # ns
 HOVER = Wish("", "", "", False, False, "", 0.0, None, "")
 RUN = "import sys, typer; from quadftc_cli.main import guarded; from quadftc_cli.commands.live import live; "
 RUN += "app = typer.Typer(); app.command()(live); sys.exit(guarded(sys.argv[1:], app))"
 PATIENCE = 60.0  # s
+PAGE = {"title": "", "vehicle": "qball_x4", "plant": "test_stand", "home": None}
 
 
 @pytest.fixture
@@ -149,6 +167,105 @@ def test_what_flies_already_is_not_chosen_again():
 
     with pytest.raises(ValueError, match="--attach: shows what flies already"):
         live(attach=True, stand=True)
+
+
+@pytest.fixture
+def two_vehicles():
+    """Nodes of two vehicles, each in a namespace, that are served while the test talks to them."""
+    over, threads = threading.Event(), []
+
+    def serve(bench):
+        while not over.is_set():
+            bench._executor.spin_once(timeout_sec=0.05)
+
+    with contextlib.ExitStack() as stack:
+        benches = [stack.enter_context(NodeBench("realtime", name)) for name in ("uav1", "uav2")]
+        for bench, vehicle in zip(benches, ("qball_x4", "crazyflie_2x"), strict=True):
+            bench.run(FaultInjectorNode)
+            for node in (ControllerNode, FaultObserverNode, ReferenceNode):
+                bench.run(node, vehicle=vehicle)
+            threads.append(threading.Thread(target=serve, args=(bench,)))
+            threads[-1].start()
+        yield benches
+        over.set()
+        for thread in threads:
+            thread.join()
+
+
+def test_page_is_attached_to_each_vehicle_that_flies(two_vehicles, channel):
+    talk, frames = two_vehicles[1].talk("imu/data"), []
+
+    def goes_on():
+        talk(imu_message(SECOND + len(frames)))
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                frames.append(receive(channel[1]))
+        return "imu/data" not in {topic for frame in frames for topic in frame.last}
+
+    channel[1].setblocking(False)
+    with LiveGraph() as graph:
+        flown = []
+        for name in vehicles_of(graph):
+            graph.namespace = name
+            flown.append(page_of_running(graph))
+        assert [each["namespace"] for each in flown] == ["uav1", "uav2"]
+        assert [each["parts"].partition(",")[0] for each in flown] == ["qball_x4", "crazyflie_2x"]
+        follow(graph, channel[0], flown, goes_on)
+    assert {frame.vehicle for frame in frames if "imu/data" in frame.last} == {1}
+    assert {frame.vehicle for frame in frames} == {0, 1}
+
+
+def test_fault_goes_to_the_vehicle_that_the_page_shows(two_vehicles):
+    commanders = [Commander(name) for name in ("uav1", "uav2")]
+    for commander in reversed(commanders):
+        injected = asyncio.run(commander.inject("bias axis=roll value=8deg"))
+        assert injected.number == 1, "each injector counts its own"
+    for commander in commanders:
+        commander.close()
+
+
+@pytest.fixture(scope="module")
+def two_pages():
+    flown = [
+        {**PAGE, "namespace": "", "parts": "the first"},
+        {**PAGE, "namespace": "b", "parts": "the second"},
+    ]
+    with listen(0) as listener, serving(listener, flown, False) as (_, address):
+        yield address
+
+
+def test_vehicle_does_not_show_what_the_nodes_of_another_report():
+    flown = [Flown(**PAGE, namespace=name, parts="") for name in ("", "uav2")]
+    said = {"plant": "250", "uav2/plant": "500", "driver": "1000", "hw/driver": "2000"}
+    told = [
+        DiagnosticStatus(name=f"{node}: timing", values=[KeyValue(key="rate_hz", value=rate)])
+        for node, rate in said.items()
+    ]
+    frame = Frame({}, [serialize_message(DiagnosticArray(status=told))])
+    for each, rate in zip(flown, ("250", "500"), strict=True):
+        picture = picture_of(each, *flown)
+        picture.take(frame)
+        assert picture.value("plant", "timing", "rate_hz") == rate
+        assert picture.value("hw/driver", "timing", "rate_hz") == "2000"
+    alone = picture_of(flown[1])
+    alone.take(frame)
+    assert alone.value("driver", "timing", "rate_hz") == "1000"
+
+
+@pytest.mark.parametrize(
+    ("query", "status", "words"),
+    [
+        ("", 200, "the first"),
+        ("?vehicle=1", 200, "the second"),
+        ("?vehicle=7", 200, "the first"),
+        ("?vehicle=x", 422, None),
+    ],
+)
+def test_address_says_which_vehicle_is_shown(two_pages, query, status, words):
+    base, token = two_pages.split("?token=")
+    answer = httpx.get(base + query, headers={"Authorization": f"Bearer {token}"}, timeout=PATIENCE)
+    assert answer.status_code == status
+    assert [each for each in ("the first", "the second") if each in answer.text] == [words] * (status == 200)
 
 
 def test_port_that_is_taken_is_refused_before_anything_flies():

@@ -86,7 +86,7 @@ def live(home: Path, port: int) -> Iterator[tuple[str, int]]:
     """Start the page of ``quadftc live``, to which no flight sends anything."""
     children = Path(f"/proc/self/task/{os.getpid()}/children")
     before = set(children.read_text().split())
-    with listen(port) as listener, serving(listener, FLOWN, True) as (_, address):
+    with listen(port) as listener, serving(listener, [FLOWN], True) as (_, address):
         (process,) = set(children.read_text().split()) - before
         yield address, int(process)
 

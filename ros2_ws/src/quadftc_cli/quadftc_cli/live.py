@@ -65,7 +65,7 @@ class LiveGraph:
 
     def call(self, name: str, service: Any, request: Any) -> Any:
         """Call a service, ``node/name``, of the vehicle; return its response."""
-        full = self._found(name)
+        full = self.full_name(name)
         client = self.node.create_client(service, full, qos_profile=service_profile())
         self.until(client.service_is_ready)
         future = client.call_async(request)
@@ -98,7 +98,7 @@ class LiveGraph:
         """
         self.until(lambda: any(map(self.offers, services)))
         service = next(filter(self.offers, services), services[0])
-        self.namespace = self._found(service)[: -len(service)].strip("/")
+        self.namespace = self.full_name(service)[: -len(service)].strip("/")
         return service
 
     def offers(self, name: str) -> bool:
@@ -106,11 +106,11 @@ class LiveGraph:
         there = self.namespaces(name)
         return self.namespace in there if self.namespace else bool(there)
 
-    def _found(self, name: str) -> str:
-        """Full name of a service of the vehicle, once it is there."""
+    def full_name(self, name: str) -> str:
+        """Return the full name of a service of the vehicle, once it is there; a GraphError says what is."""
         full = f"/{self.namespace}/{name}".replace("//", "/")
-        if self.until(lambda: self.namespaces(name)) and not self.namespace:
-            self.until(lambda: full in self._services(), OTHERS)
+        if self.namespace or self.until(lambda: self.namespaces(name)):
+            self.until(lambda: full in self._services(), PATIENCE if self.namespace else OTHERS)
         there = self.namespaces(name)
         if self.namespace in there:
             return full

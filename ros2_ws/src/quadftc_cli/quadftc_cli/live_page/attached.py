@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import socket
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from quadftc_bags.interfaces import load_message_class
-from quadftc_cli.live import AUTOPILOTS, CONTROLLER, OBSERVER, LiveGraph
+from quadftc_cli.live import AUTOPILOTS, CONTROLLER, OBSERVER, OTHERS, LiveGraph
 from quadftc_cli.live_page.feed import DIAGNOSTICS, GUIDANCE, Feed, shown_topics
 from quadftc_flight.graph.plan import SLICE, GraphError
 from quadftc_model.rotations import euler_from_quaternion
@@ -21,6 +22,17 @@ from quadftc_ros.topics import TOPICS
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 ALL = QoSProfile(depth=100)
+
+
+def vehicles_of(graph: LiveGraph) -> list[str]:
+    """Return the namespaces in which something flies: the one that was asked for, else all there are."""
+    if graph.namespace:
+        return [graph.namespace]
+    services = (CONTROLLER, *AUTOPILOTS)
+    if not graph.until(lambda: any(map(graph.offers, services))):
+        graph.full_name(CONTROLLER)  # which says so
+    graph.spin(OTHERS)
+    return sorted({name for each in services for name in graph.namespaces(each)})
 
 
 def page_of_running(graph: LiveGraph) -> dict[str, Any]:
@@ -58,18 +70,25 @@ def _page_of_autopilot(graph: LiveGraph, name: str) -> dict[str, Any]:
     }
 
 
-def follow(graph: LiveGraph, feed: Feed, plant: Any, goes_on: Callable[[], bool]) -> None:
-    """Hand what the graph says to the page until it is over."""
-    prefix = f"/{graph.namespace}/".replace("//", "/")
-    for topic in (*shown_topics(plant), DIAGNOSTICS):
-        full = topic if topic.startswith("/") else f"{prefix}{topic}"
-        kind = load_message_class(TOPICS[topic].type_name)
-        profile = ALL if topic == DIAGNOSTICS else LATEST
-        take: Any = feed.tap(full)  # each of these topics is shown
-        graph.node.create_subscription(kind, full, take, profile, raw=True)
+def follow(
+    graph: LiveGraph, channel: socket.socket, vehicles: Sequence[dict[str, Any]], goes_on: Callable[[], bool]
+) -> None:
+    """Hand what the graph says of vehicles, fields of `page.Flown` each, to the page until it is over."""
+    feeds: list[Feed] = []
+    for number, flown in enumerate(vehicles):
+        feed = Feed(channel, flown["namespace"], flown["plant"], number)
+        prefix = f"/{flown['namespace']}/".replace("//", "/")
+        for topic in (*shown_topics(flown["plant"]), DIAGNOSTICS):
+            full = topic if topic.startswith("/") else f"{prefix}{topic}"
+            kind = load_message_class(TOPICS[topic].type_name)
+            profile = ALL if topic == DIAGNOSTICS else LATEST
+            take: Any = feed.tap(full)  # each of these topics is shown
+            graph.node.create_subscription(kind, full, take, profile, raw=True)
+        feeds.append(feed)
     while goes_on():
         graph.spin(SLICE)
-        feed.send()
+        for feed in feeds:
+            feed.send()
 
 
 def _home(graph: LiveGraph, plant: str) -> tuple[float, ...]:

@@ -32,6 +32,7 @@ class Frame(NamedTuple):
 
     last: dict[str, bytes]  # by topic, those that are new
     diagnostics: list[bytes]
+    vehicle: int = 0  # whose it is, of several
 
 
 def shown_topics(plant: PlantKind) -> tuple[str, ...]:
@@ -40,14 +41,17 @@ def shown_topics(plant: PlantKind) -> tuple[str, ...]:
 
 
 class Feed:
-    """The end of the flight; ``tap`` is what `quadftc_ros.transport` calls a tap."""
+    """The end of the flight of a vehicle, by its number if there are several.
 
-    def __init__(self, channel: socket.socket, namespace: str, plant: PlantKind) -> None:
-        self._channel = channel
+    ``tap`` is what `quadftc_ros.transport` calls a tap.
+    """
+
+    def __init__(self, channel: socket.socket, namespace: str, plant: PlantKind, vehicle: int = 0) -> None:
+        self._channel, self._vehicle = channel, vehicle
         self._channel.setblocking(False)
         self._prefix = f"/{namespace.strip('/')}/".replace("//", "/")
         self._topics = shown_topics(plant)
-        self._frame = Frame({}, [])
+        self._frame = Frame({}, [], vehicle)
         self._due = 0.0
 
     def tap(self, full_name: str) -> Take | None:
@@ -76,7 +80,7 @@ class Feed:
     def send(self) -> None:
         """Hand over what has come since the last frame."""
         self._due = time.monotonic() + PERIOD
-        frame, self._frame = self._frame, Frame({}, [])
+        frame, self._frame = self._frame, Frame({}, [], self._vehicle)
         with contextlib.suppress(OSError):  # the page is behind, or closed
             self._channel.send(pickle.dumps(tuple(frame), pickle.HIGHEST_PROTOCOL))
 

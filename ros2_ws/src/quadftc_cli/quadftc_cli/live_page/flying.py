@@ -8,14 +8,14 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from quadftc_cli.live import LiveGraph
-from quadftc_cli.live_page.attached import follow, page_of_running
+from quadftc_cli.live_page.attached import follow, page_of_running, vehicles_of
 from quadftc_cli.live_page.feed import GUIDANCE, Feed
 from quadftc_cli.screen import say
 from quadftc_control.trajectory import combined
@@ -105,11 +105,12 @@ def begin_of(scenario: Scenario) -> tuple[float, float, float]:
 
 @contextmanager
 def serving(
-    listener: socket.socket, flown: dict[str, Any], opens: bool
+    listener: socket.socket, flown: Sequence[dict[str, Any]], opens: bool
 ) -> Iterator[tuple[socket.socket, str]]:
     """Serve the page in a process of its own, which opens a browser; yields frames' socket and URL.
 
-    A GraphError says if it does not start. It has a session of its own: Ctrl-C reaches this process alone.
+    ``flown`` are the vehicles, the fields of `page.Flown` of each. A GraphError says if it does not start. It
+    has a session of its own: Ctrl-C reaches this process alone.
     """
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, FEED)
@@ -139,16 +140,19 @@ def serving(
 def show_running(namespace: str, port: int, opens: bool) -> int:
     """Show a graph that runs already, and return the exit code."""
     with LiveGraph(namespace) as graph:
-        flown = page_of_running(graph)
+        flown: list[dict[str, Any]] = []
+        for name in vehicles_of(graph):
+            graph.namespace = name
+            flown.append(page_of_running(graph))
         with (
             private_files(),
             StopSignals() as stop,
             listen(port) as listener,
             serving(listener, flown, opens) as (channel, address),
         ):
-            say(f"{flown['title']}: {flown['parts']}", f"page:   {address}", stderr=True)
-            feed = Feed(channel, graph.namespace, flown["plant"])
-            follow(graph, feed, flown["plant"], lambda: not stop.requested)
+            said = [f"{each['title']}: {each['parts']}" for each in flown]
+            say(*said, f"page:   {address}", stderr=True)
+            follow(graph, channel, flown, lambda: not stop.requested)
     return 0
 
 
@@ -162,7 +166,7 @@ def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int,
         tempfile.TemporaryDirectory(prefix="quadftc_") as folder,
         StopSignals() as stop,
         listen(port) as listener,
-        serving(listener, page_of(plan, scenario), opens) as (channel, address),
+        serving(listener, [page_of(plan, scenario)], opens) as (channel, address),
     ):
         if plan.bag is not None:
             file = Path(folder, "parameters.yaml")

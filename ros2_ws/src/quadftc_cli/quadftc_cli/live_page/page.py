@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fastapi import FastAPI
 from nicegui import background_tasks, ui
@@ -73,15 +73,24 @@ class Flown:
     simulated: bool = True  # with plant and fault injector; False: a vehicle that exists
 
 
-def add_page(
-    app: FastAPI, picture: Picture, commander: Commander, flown: Flown, player: Player | None = None
-) -> None:
-    """Add the page to an application; ``player`` plays the flight if it was recorded."""
+class Vehicle(NamedTuple):
+    """A vehicle that can be shown."""
+
+    picture: Picture
+    commander: Commander
+    flown: Flown
+    player: Player | None = None  # of a recorded flight
+
+
+def add_page(app: FastAPI, vehicles: Sequence[Vehicle]) -> None:
+    """Add the page to an application: of several vehicles it shows the one whose number the address has."""
+    names = {number: each.flown.namespace or "no namespace" for number, each in enumerate(vehicles)}
 
     @ui.page("/")
-    def page() -> None:
+    def page(vehicle: int = 0) -> None:
         ui.add_css(STYLE)
-        _Page(picture, commander, flown, player)
+        number = vehicle if vehicle in names else 0
+        _Page(vehicles[number], number, names)
 
     ui.run_with(app, title="quadftc live", dark=None, tailwind=False, show_welcome_message=False)
 
@@ -97,12 +106,13 @@ def words_of(event: FaultEvent) -> str:
 class _Page:
     """One page, for as long as a browser shows it."""
 
-    def __init__(self, picture: Picture, commander: Commander, flown: Flown, player: Player | None) -> None:
-        self._picture, self._commander, self._flown, self._player = picture, commander, flown, player
+    def __init__(self, vehicle: Vehicle, number: int, names: Mapping[int, str]) -> None:
+        self._picture, self._commander, self._flown, self._player = vehicle
+        picture, _, flown, player = vehicle
         self._chips: dict[str, Any] = {}
         self._shown: dict[str, Any] = {}
         with ui.element("div").classes("page"):
-            self._heading()
+            self._heading(number, names)
             with ui.element("div").classes("stage"):
                 self._scene = VehicleScene(picture)
                 self._legend()
@@ -123,10 +133,17 @@ class _Page:
         ui.timer(FRAME_PERIOD, self._draw)
         ui.timer(TEXT_PERIOD, self._tell)
 
-    def _heading(self) -> None:
+    def _heading(self, number: int, names: Mapping[int, str]) -> None:
+        def choose(event: Any) -> None:
+            ui.navigate.to(f"/?vehicle={event.value}")
+
         with ui.element("header").classes("heading"):
             ui.label("quadftc live").classes("brand")
-            ui.label(self._flown.title).classes("title")
+            if len(names) > 1:
+                choice = ui.select(dict(names), value=number, on_change=choose)
+                choice.props('dense borderless options-dense aria-label="vehicle" data-vehicle')
+            else:
+                ui.label(self._flown.title).classes("title")
             ui.label(self._flown.parts).classes("parts")
             ui.element("div").classes("space")
             of_plant = ("lost", "speed") if self._flown.simulated else ()

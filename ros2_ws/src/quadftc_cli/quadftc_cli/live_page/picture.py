@@ -56,6 +56,7 @@ class Picture:
         self._condition = RotorConditionReader(len(vehicle.rotors.positions))
         self._statuses: dict[str, Any] = {}
         self.begin_ns = 0  # stamp at which the flight began; 0: that of the first sample that comes
+        self.namespace, self.namespaces = "", frozenset[str]()  # of the vehicle; of all vehicles
         self.silent: frozenset[str] = frozenset()  # topics on which nothing ever comes
         self._next_ns = 0
         self._clocks: deque[tuple[float, float]] = deque(maxlen=SPAN)  # s; of the machine, of the flight
@@ -66,7 +67,8 @@ class Picture:
         for topic, data in frame.last.items():
             self.latest.put(topic, data)
         for data in frame.diagnostics:
-            self._statuses |= {status.name: status for status in read_message(data, DiagnosticArray).status}
+            told = read_message(data, DiagnosticArray).status
+            self._statuses |= {status.name: status for status in told if not self._is_of_another(status.name)}
         stamp_ns = self.latest.stamp_ns()
         self.begin_ns = self.begin_ns or stamp_ns
         if stamp_ns >= self._next_ns:
@@ -74,6 +76,10 @@ class Picture:
             self.rows.append(self._row())
             self.count += 1
             self._clocks.append((time.monotonic(), self.time))
+
+    def _is_of_another(self, name: str) -> bool:
+        """Return whether a status, ``namespace/node: part``, is of another vehicle."""
+        return name.partition(":")[0].rpartition("/")[0] in self.namespaces - {self.namespace}
 
     def forget(self) -> None:
         """Forget all that came, as what comes next is from another time of the flight."""

@@ -1,9 +1,9 @@
 """The process of the page: ``python -m quadftc_cli.live_page.server CHANNEL LISTENER FLOWN [open]``.
 
 The first two are open file descriptors: the socket from which frames of the flight come, and the one that
-browsers connect to. The third is a JSON object, the fields of `page.Flown`. When it serves, the page says its
-address with the token on the socket, and opens a browser if that is asked for. It ends when the socket is
-closed.
+browsers connect to. The third is in JSON a list of vehicles, the fields of `page.Flown` of each. When it
+serves, the page says its address with the token on the socket, and opens a browser if that is asked for. It
+ends when the socket is closed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import os
 import secrets
 import socket
 import sys
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from fastapi import FastAPI
 
 from quadftc_cli.live_page.commander import Commander
 from quadftc_cli.live_page.feed import receive
-from quadftc_cli.live_page.page import Flown, add_page
+from quadftc_cli.live_page.page import Flown, Vehicle, add_page
 from quadftc_cli.live_page.picture import Picture
 from quadftc_cli.live_page.player import Player, read_recorded
 from quadftc_cli.screen import say
@@ -43,24 +43,28 @@ LAST_WORDS = 0.5  # s; for the page to say that the flight has ended
 Source = Callable[[str], AbstractAsyncContextManager[None]]  # feeds a picture meanwhile; takes the address
 
 
-def picture_of(flown: Flown) -> Picture:
-    """Return an empty picture of a flight."""
+def picture_of(flown: Flown, *others: Flown) -> Picture:
+    """Return an empty picture of a flight, beside others."""
     plant = "free_flight" if flown.plant == "free_flight" else "test_stand"
-    return Picture(load_vehicle(flown.vehicle), plant)
+    picture = Picture(load_vehicle(flown.vehicle), plant)
+    picture.namespace = flown.namespace
+    picture.namespaces = frozenset(each.namespace for each in (flown, *others))
+    return picture
 
 
 @asynccontextmanager
 async def following(
-    channel: socket.socket, picture: Picture, server: list[uvicorn.Server], address: str
+    channel: socket.socket, pictures: Sequence[Picture], server: list[uvicorn.Server], address: str
 ) -> AsyncGenerator[None]:
-    """Take what comes on the socket of a flight; at its end stop the server."""
+    """Take what comes on the socket of flights; at their end stop the server."""
 
     def take() -> None:
         frame = receive(channel)
         if frame is not None:
-            picture.take(frame)
+            pictures[frame.vehicle].take(frame)
             return
-        picture.over = True
+        for picture in pictures:
+            picture.over = True
         logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # requests that are cut off now
         loop = asyncio.get_running_loop()
         loop.remove_reader(channel)
@@ -84,12 +88,8 @@ async def playing(player: Player, address: str) -> AsyncGenerator[None]:
     task.cancel()
 
 
-def make_app(
-    page: tuple[Picture, Flown, Player | None], listener: socket.socket, source: Source, opens: bool
-) -> FastAPI:
-    """Build the application of a page, whose picture is fed by a source."""
-    picture, flown, player = page
-    commander = Commander(flown.namespace)
+def make_app(vehicles: Sequence[Vehicle], listener: socket.socket, source: Source, opens: bool) -> FastAPI:
+    """Build the application of a page, whose pictures are fed by a source."""
     token = secrets.token_urlsafe()
 
     @asynccontextmanager
@@ -103,10 +103,11 @@ def make_app(
                 except asyncio.CancelledError:  # a second Ctrl-C: uvicorn has nothing to add
                     logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
                     raise
-        commander.close()
+        for vehicle in vehicles:
+            vehicle.commander.close()
 
     app = FastAPI(title="quadftc live", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
-    add_page(app, picture, commander, flown, player)
+    add_page(app, vehicles)
     app.add_middleware(OwnerOnly, token=token)
     return app
 
@@ -126,10 +127,10 @@ def main(channel: int, listener: int, flown: str, *options: str) -> None:
     give_way()
     server: list[uvicorn.Server] = []
     flight, browsers = socket.socket(fileno=channel), socket.socket(fileno=listener)
-    flying = Flown(**json.loads(flown))
-    picture = picture_of(flying)
-    source = partial(following, flight, picture, server)
-    serve(make_app((picture, flying, None), browsers, source, "open" in options), browsers, server)
+    every = [Flown(**each) for each in json.loads(flown)]
+    vehicles = [Vehicle(picture_of(each, *every), Commander(each.namespace), each) for each in every]
+    source = partial(following, flight, [each.picture for each in vehicles], server)
+    serve(make_app(vehicles, browsers, source, "open" in options), browsers, server)
 
 
 def show_recorded(bag: Path, speed: float, namespace: str, port: int, opens: bool) -> None:
@@ -138,9 +139,10 @@ def show_recorded(bag: Path, speed: float, namespace: str, port: int, opens: boo
     flown = Flown(**recorded.flown)
     picture = picture_of(flown)
     player = Player(recorded, picture, speed)
+    vehicle = Vehicle(picture, Commander(""), flown, player)
     with private_files(), listen(port) as listener, contextlib.suppress(KeyboardInterrupt):
         say(f"{flown.title}: {flown.parts}", *recorded.warnings, stderr=True)
-        serve(make_app((picture, flown, player), listener, partial(playing, player), opens), listener, [])
+        serve(make_app([vehicle], listener, partial(playing, player), opens), listener, [])
 
 
 def serve(app: FastAPI, listener: socket.socket, server: list[uvicorn.Server]) -> None:

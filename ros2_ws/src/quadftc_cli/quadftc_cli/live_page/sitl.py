@@ -33,7 +33,7 @@ def showing(plan: SitlPlan, port: int, opens: bool) -> Iterator[Live]:
         private_files(),
         StopSignals() as stop,
         listen(port) as listener,
-        serving(listener, flown, opens) as (channel, address),
+        serving(listener, [flown], opens) as (channel, address),
     ):
         feed = Feed(channel, "", "free_flight")
         say(f"{flown['title']}: {flown['parts']}", f"page:   {address}", stderr=True)
