@@ -96,6 +96,7 @@ SLOW_FILES = {
     "test_isolating_in_flight.py",
     "test_isolating_rotors.py",
     "test_laws.py",
+    "test_live_bag.py",
     "test_live_page.py",
     "test_open_loop.py",
     "test_page_access.py",

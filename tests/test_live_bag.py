@@ -226,7 +226,6 @@ def test_options_that_contradict_each_other_are_refused(options, words):
         live(**options)
 
 
-@pytest.mark.slow
 def test_recorded_flight_is_played_in_a_browser(bag):
     """It goes to a fault, pauses there and goes back; there is no way to inject one."""
     from selenium.webdriver.common.action_chains import ActionChains
