@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from quadftc_replay.flight_log import Event, FlightLog, Signal, Watched
-from quadftc_tools.study.league_logs import LABELLED, cut, read_labels
+from quadftc_tools.study.league_logs import SIMULATED, cut, simulated_logs
 
 
 def test_cut_leaves_nothing_of_what_came_later():
@@ -30,9 +29,9 @@ def test_cut_leaves_nothing_of_what_came_later():
     assert [each.text for each in part.events] == ["before"]
 
 
-def test_wrong_label_is_refused_with_file_and_field(tmp_path: Path):
-    file = tmp_path / LABELLED / "truth.json"
+def test_simulated_flights_are_healthy_where_their_file_says_so(tmp_path: Path):
+    file = tmp_path / SIMULATED / "truth.json"
     file.parent.mkdir(parents=True)
-    file.write_text('{"a.BIN": {"component": "gyro", "element": "x", "onset_s": "early"}}', encoding="utf-8")
-    with pytest.raises(ValueError, match=r"truth\.json: a\.BIN\.onset_s: .*number"):
-        read_labels(tmp_path)
+    file.write_text('{"a.BIN": {"healthy": true}, "b.BIN": {"healthy": false}}', encoding="utf-8")
+    assert simulated_logs(tmp_path, healthy=True) == {file.parent / "a.BIN"}
+    assert simulated_logs(tmp_path, healthy=False) == {file.parent / "b.BIN"}

@@ -19,7 +19,7 @@ import sys
 import tempfile
 import zlib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +36,7 @@ from quadftc_replay.overlay import faults_from
 from quadftc_replay.readers import read_log
 from quadftc_replay.writers import WRITERS
 from quadftc_tools.study.intervals import poisson_interval, share_interval
+from quadftc_tools.study.league_logs import simulated_logs
 from quadftc_tools.study.page import NOTHING, Tables, markdown, run_study
 from quadftc_tools.study.random_flights import Loss
 from quadftc_tools.study.simulated_logs import fly_log
@@ -53,7 +54,6 @@ HEALTHY = {
     "Crazyflie (uSD)": ("crazyflie/sysid/log*", "crazyflie/crazyswarm2/log*", "crazyflie/crazypad/*normal*"),
     "IMU moved by hand (bag)": ("broad/*/*.mcap",),
 }
-TRUTH = "ardupilot/sitl"  # of these a file says which are healthy
 CHANNELS = {  # what is put on a log, to its end: axes, sizes of an offset, unit
     "gyro": (("x", "y", "z"), (0.03, 1.0), "rad/s"),
     "accelerometer": (("x", "y", "z"), (0.5, 6.0), "m/s^2"),
@@ -97,8 +97,10 @@ class Judged(NamedTuple):
         return self.verdict.flight_s / HOUR
 
 
-def judge_seed(seed: int, is_faulty: bool = False) -> Iterator[Judged]:
-    """Fly a seed, healthy or with a fault, and judge each log; a sensor fails in each by itself."""
+def judge_seed(
+    seed: int, is_faulty: bool = False, autopilots: Sequence[str] = tuple(AUTOPILOTS)
+) -> Iterator[Judged]:
+    """Fly a seed, healthy or with a fault, and judge the logs of some; a sensor fails in each by itself."""
     rng = np.random.default_rng([seed, 1])
     seconds = rng.uniform(SHORTEST, LONGEST)
     onset = rng.uniform(0.2, 0.8) * seconds
@@ -116,7 +118,8 @@ def judge_seed(seed: int, is_faulty: bool = False) -> Iterator[Judged]:
                 truth = Truth("rotor", str(flight.rotor), onset, loss.share)
             elif is_faulty:
                 read, truth = with_offset(read, channel, onset, rng, seed)
-            yield Judged(seed, flight.base, name, truth, inspect(read).verdict)
+            if name in autopilots:
+                yield Judged(seed, flight.base, name, truth, inspect(read).verdict)
 
 
 def with_offset(
@@ -133,11 +136,9 @@ def with_offset(
 
 def judge_real(data: Path) -> Iterator[Judged]:
     """Judge the healthy logs below a folder; those without a finding also with offsets of their sensors."""
-    truths: Mapping[str, Any] = json.loads((data / TRUTH / "truth.json").read_text(encoding="utf-8"))
-    said = tuple(f"{TRUTH}/{name}" for name, truth in truths.items() if truth["healthy"])
     for number, (group, patterns) in enumerate(HEALTHY.items()):
-        names = (*patterns, *said) if number == 0 else patterns
-        for path in sorted(path for name in names for path in data.glob(name)):
+        simulated = simulated_logs(data, healthy=True) if number == 0 else ()
+        for path in sorted((*simulated, *(path for name in patterns for path in data.glob(name)))):
             healthy = Judged(0, group, "", None, diagnose_log(path, DiagnosisOptions()).verdict)
             yield healthy
             if healthy.score == 0.0:

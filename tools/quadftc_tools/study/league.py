@@ -15,27 +15,24 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_cli.screen import say
 from quadftc_fdi.fault_observer import FaultObserver, fault_observers
-from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.diagnose import diagnose
-from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.imu_recording import Recording, torque_before
+from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.imu_from_log import recording_of
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.plan import FROM_GYRO
 from quadftc_tools.study.intervals import poisson_interval
-from quadftc_tools.study.league_logs import cut, read_healthy, read_labels
-from quadftc_tools.study.league_others import OTHERS_HEADINGS, other_rows
+from quadftc_tools.study.league_logs import cut, read_healthy
 from quadftc_tools.study.numbers import write_number
 from quadftc_tools.study.page import NOTHING, markdown, run_study
 
@@ -45,10 +42,7 @@ SEEN, CLOSE = 0.25, 0.05  # s; from the true onset to one that is named: of a de
 SAMPLES = 2.0  # of a slow sensor, by which an onset is dated no better
 REPEATS = 6  # of each case on each log: every axis, both signs
 VEHICLE = "crazyflie_2x"  # of observers, where the log says none
-SUITED = (
-    "ROS 2 bag",
-    "Crazyflie uSD",
-)  # for an observer: torque [N m] or own attitude
+SUITED = ("ROS 2 bag", "Crazyflie uSD")  # for an observer: torque [N m] or own attitude
 HEALTHY_HEADINGS = ("who", "logs", "number", "in flight", "findings", "per hour")
 AXES = {"gyro": "xyz", "accelerometer": "xyz", "attitude": ("roll", "pitch", "yaw")}
 CASES = {
@@ -99,7 +93,8 @@ def judge_by(observer: type[FaultObserver]) -> Judge:
     """A fault observer, sample by sample; what is ambiguous does not count."""
 
     def judge(log: FlightLog) -> list[Named]:
-        recording, begin = recording_of(log), float(next(iter(log.gyros.values())).time[0])
+        recording = recording_of(log, next(iter(log.gyros)))
+        begin = float(next(iter(log.gyros.values())).time[0])
         known = {FROM_GYRO: True} if recording.attitude_from_gyro and hasattr(observer, FROM_GYRO) else {}
         law = observer(vehicle=load_vehicle(log.vehicle or VEHICLE), **known)
         named: list[Named] = []
@@ -114,50 +109,6 @@ def judge_by(observer: type[FaultObserver]) -> Judge:
         return named
 
     return judge
-
-
-def recording_of(log: FlightLog) -> Recording:
-    """Main gyro, with the attitude and the specific force nearest in time."""
-    gyro, attitude = next(iter(log.gyros.values())), log.attitude
-    assert attitude is not None
-    half, count = 0.5 / gyro.rate, len(gyro)
-    q, has_attitude = _nearest(gyro.time, attitude, half)
-    sensor = next(iter(log.accelerometers.values()), Signal(np.zeros(2), np.full((2, 3), np.nan)))
-    force, has_force = _nearest(gyro.time, sensor, half)
-    has_rate = np.isfinite(gyro.value).all(axis=1)
-    q = np.where(has_attitude[:, None], q, [0.0, 0.0, 0.0, 1.0])
-    stamps, torque = _stamps(gyro.time), np.zeros((count, 3))
-    driven = log.torque_command is not None and log.torque_unit == "N m"
-    if log.torque_command is not None and driven:
-        torque = torque_before(stamps, _stamps(log.torque_command.time), log.torque_command.value)
-    imu = ImuSample(q, np.nan_to_num(gyro.value), force, has_attitude, has_rate, has_force & has_rate)
-    return Recording(
-        name=log.path.name,
-        path=log.path,
-        topic="",
-        namespace="/",
-        stamp_ns=stamps,
-        imu=imu,
-        torque=torque,
-        torque_topic="torque_command" if driven else None,
-        attitude_from_gyro=log.attitude_from_gyro is True,
-    )
-
-
-def _stamps(time: NDArray[np.float64]) -> NDArray[np.int64]:
-    return np.round((time + 1.0) * NANOSECONDS_PER_SECOND).astype(np.int64)
-
-
-def _nearest(
-    time: NDArray[np.float64], sensor: Signal, reach: float
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    if not len(sensor):
-        return np.zeros((len(time), sensor.value.shape[1])), np.zeros(len(time), np.bool_)
-    after = np.clip(np.searchsorted(sensor.time, time), 1, len(sensor) - 1)
-    nearer = after - (time - sensor.time[after - 1] < sensor.time[after] - time)
-    value = sensor.value[nearer]
-    there = (np.abs(sensor.time[nearer] - time) <= reach) & np.isfinite(value).all(axis=1)
-    return np.nan_to_num(value), there
 
 
 def faults_on(log: FlightLog, title: str) -> Iterator[Put]:
@@ -236,8 +187,7 @@ def healthy_rows(who: str, watches: Mapping[str, Watch], each_group: bool) -> It
 
 def make(data: Path) -> dict[str, str]:
     """Run all, and return the tables."""
-    labels = read_labels(data)
-    groups = read_healthy(data, labels)
+    groups = read_healthy(data)
     judges: dict[str, Judge] = {"diagnose": judge_offline}
     for name in sorted(name for name in fault_observers.names() if fault_observers.get(name).has_detector):
         judges[name] = judge_by(fault_observers.get(name))
@@ -257,7 +207,6 @@ def make(data: Path) -> dict[str, str]:
     return {
         "league-healthy": markdown(HEALTHY_HEADINGS, of_healthy),
         "league-faults": markdown(["who", "logs", "faults", *CASES], of_faults),
-        "league-others": markdown(OTHERS_HEADINGS, other_rows(labels)),
     }
 
 

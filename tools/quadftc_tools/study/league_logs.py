@@ -1,55 +1,40 @@
-"""Recordings for the league: which flights are healthy, which are labelled as faulty, and parts of them."""
+"""Recordings for the league: which flights are healthy, and parts of them."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.diagnosis import read_with_layout
 
 RECORDINGS = ("ardupilot/*/*.BIN", "broad/*", "crazyflie/*/*", "px4/**/*.ulg")
-LABELLED = "ardupilot/sitl"
+SIMULATED = "ardupilot/sitl"  # a file says which are healthy
 # in the names of logs that are not healthy; the controller of DeLorean's 00000004 flies by a position that
 # leaves the estimator's by 2.000 m on each axis from 9.1 s on
 FAULTY = ("cut", "tape", "motor_failure", "brownout", "00000004")
 ATTACK = "Attack Started"  # DeLorean's words; its flights are healthy until then
 SLOW = 50.0  # Hz; of the gyro: default rates of autopilots are below
-HEALTHY = "none"  # component of a label
 
 
-class Label(BaseModel):
-    """What is true of a flight."""
-
-    component: str
-    element: str | None
-    onset_s: float | None  # since the first sample of the IMU
-
-
-def read_labels(data: Path) -> dict[Path, Label]:
-    """Read the labels of simulated ArduCopter flights; a ValueError says which entry is wrong."""
-    folder = data / LABELLED
-    path = folder / "truth.json"
-    try:
-        labels = TypeAdapter(dict[str, Label]).validate_json(path.read_bytes())
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-    return {folder / name: label for name, label in labels.items()}
+def simulated_logs(data: Path, healthy: bool) -> set[Path]:
+    """Simulated ArduCopter flights below a folder that are healthy, or those that are not."""
+    folder = data / SIMULATED
+    truths = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    return {folder / name for name, truth in truths.items() if truth["healthy"] == healthy}
 
 
-def read_healthy(data: Path, labels: Mapping[Path, Label]) -> dict[str, list[FlightLog]]:
+def read_healthy(data: Path) -> dict[str, list[FlightLog]]:
     """Read the healthy logs, by format; ValueError if there are none."""
-    paths = sorted(path for pattern in RECORDINGS for path in data.glob(pattern))
+    faulty = simulated_logs(data, healthy=False)
     groups: dict[str, list[FlightLog]] = {}
-    for path in paths:
-        is_faulty = path in labels and labels[path].component != HEALTHY
-        if path.name == "LICENSE" or is_faulty or any(word in path.name for word in FAULTY):
+    for path in sorted(path for pattern in RECORDINGS for path in data.glob(pattern)):
+        if path.name == "LICENSE" or path in faulty or any(word in path.name for word in FAULTY):
             continue
         log = read_with_layout(path, "")
         attacks = [event.time for event in log.events if ATTACK in event.text]

@@ -34,9 +34,13 @@ def recording_from_log(path: Path, topic: str = "", choice: LogChoice = ONLY_ONE
     ``topic`` is the name of one of several gyros, such as ``1``; empty: the main one. Samples whose stamp
     goes back are left out; a warning says so.
     """
-    log = read_bounded(path, choice)
-    name, gyro = _gyro(log, topic)
-    if log.attitude is None:
+    return recording_of(read_bounded(path, choice), topic)
+
+
+def recording_of(log: FlightLog, topic: str = "") -> Recording:
+    """Return the attitude and a gyro of a log that is read already, as `recording_from_log`."""
+    path, (name, gyro) = log.path, _gyro(log, topic)
+    if not log.attitude:  # or no sample of it
         reason = "a diagnosis compares attitude and gyro, of which there is only the gyro"
         raise BagError(f"{path}: no attitude in this {log.format} log; {reason}")
     stamp_ns, rate = _stamps(log, gyro), gyro.value

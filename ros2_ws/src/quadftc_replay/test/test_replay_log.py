@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gzip
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 
 from quadftc_bags.bag import BagError
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
-from quadftc_replay.imu_from_log import recording_from_log
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.imu_from_log import recording_from_log, recording_of
 from quadftc_replay.plan import ReplayOptions, plan_replay
-from quadftc_replay.readers import LogChoice
+from quadftc_replay.readers import LogChoice, read_log
 from recorded_logs import DATA, needs_data
 
 COUNT, PERIOD, EVERY = 400, 0.005, 10
@@ -104,6 +106,14 @@ def test_log_that_lacks_gyro_or_attitude_is_refused(path, choice):
         choice.mapping.write_text("[[signal]]".join(kept))
         with pytest.raises(BagError, match=words):
             recording_from_log(path, choice=choice)
+
+
+def test_log_without_a_sample_of_its_attitude_is_refused(path, choice):
+    log = read_log(path, choice)
+    empty = dataclasses.replace(log, attitude=Signal(np.empty(0), np.empty((0, 4))))
+    assert len(recording_of(log)) == COUNT
+    with pytest.raises(BagError, match="no attitude in this CSV log"):
+        recording_of(empty)
 
 
 @needs_data
