@@ -231,17 +231,13 @@ def counts_line(result: Mapping[str, Any]) -> str:
 
 
 def usage_line(results: Sequence[Mapping[str, Any]]) -> str:
-    """Processor time by process and thread, and memory; medians of the runs."""
+    """Processor time and memory by process; medians of the runs."""
     words: list[str] = []
-    for name, used in results[0]["usage"].items():
+    for name in results[0]["usage"]:
         runs = [result["usage"][name] for result in results]
-        shares = {
-            thread: median_high([run["cpu_share"].get(thread, 0.0) for run in runs])
-            for thread in used["cpu_share"]
-        }
-        threads = ", ".join(f"{each} {100.0 * share:.0f} %" for each, share in shares.items() if share > 5e-3)
-        words.append(f"{name}: {threads}; {median_high([run['memory_mib'] for run in runs]):.0f} MiB")
-    return "processor time and memory: " + " | ".join(words)
+        share, memory = (median_high([run[key] for run in runs]) for key in ("cpu_share", "memory_mib"))
+        words.append(f"{name}: {100.0 * share:.0f} % of a core, {memory:.0f} MiB")
+    return "; ".join(words)
 
 
 def latency_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:

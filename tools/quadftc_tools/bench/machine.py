@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +15,6 @@ import psutil
 from quadftc_ros.versions import versions
 
 MEBIBYTE = 2**20
-MAIN = "main"  # name of the thread that a process began with
 
 
 def machine() -> dict[str, Any]:
@@ -47,45 +47,32 @@ class Usage:
 
     def __init__(self, processes: Mapping[str, int]) -> None:
         self._processes = {name: psutil.Process(pid) for name, pid in processes.items()}
-        self._before = {name: _threads(process) for name, process in self._processes.items()}
-        self._memory = {name: process.memory_info().rss for name, process in self._processes.items()}
+        self._before = {name: _used(process) for name, process in self._processes.items()}
 
-    def taken(self, wall_time: float) -> dict[str, Any]:
+    def taken(self, wall_time: float) -> dict[str, dict[str, float]]:
         """Return, by process, what it took in a time [s].
 
-        ``cpu_share`` of a core by thread (those above 0.1 %), ``memory_mib`` now, ``memory_growth_mib``.
+        ``cpu_share`` of a core, ``memory_mib`` now, ``memory_growth_mib``.
         """
-        found: dict[str, Any] = {}
+        found: dict[str, dict[str, float]] = {}
         for name, process in self._processes.items():
-            before, now, memory = self._before[name], _threads(process), process.memory_info().rss
-            shares = {each: (used - before.get(each, 0.0)) / wall_time for each, used in now.items()}
+            (before, memory_before), (busy, memory) = self._before[name], _used(process)
             found[name] = {
-                "cpu_share": {key: round(value, 3) for key, value in shares.items() if value > 1e-3},
+                "cpu_share": round((busy - before) / wall_time, 3),
                 "memory_mib": round(memory / MEBIBYTE, 1),
-                "memory_growth_mib": round((memory - self._memory[name]) / MEBIBYTE, 2),
+                "memory_growth_mib": round((memory - memory_before) / MEBIBYTE, 2),
             }
         return found
 
 
-def _threads(process: psutil.Process) -> dict[str, float]:
-    """Processor time [s] by thread."""
-    found: dict[str, float] = {}
-    for thread in process.threads():
-        comm = Path(f"/proc/{process.pid}/task/{thread.id}/comm")
-        name = MAIN if thread.id == process.pid else _read(comm).strip() or "ended"
-        found[name] = found.get(name, 0.0) + thread.user_time + thread.system_time
-    return found
+def _used(process: psutil.Process) -> tuple[float, int]:
+    """Processor time [s] and resident memory [bytes]."""
+    times = process.cpu_times()
+    return times.user + times.system, process.memory_info().rss
 
 
 def _processor() -> str:
-    lines = _read(Path("/proc/cpuinfo")).splitlines()
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    models = re.findall(
+        r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE
+    )
     return models[0] if models else platform.processor() or "unknown"
-
-
-def _read(path: Path) -> str:
-    """Text of a file; empty if there is none."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError:
-        return ""
