@@ -1,1 +1,1 @@
-"""What the documents show and a command can make: the map of the packages, the policy."""
+"""What tables of the code make: the policy of SROS2."""

@@ -1,14 +1,11 @@
-"""`python -m quadftc_tools.licences LOCK`: what each locked package may be used under, against a list.
+"""What each locked package may be used under: a licence in ACCEPTED or, with a reason, in EXCEPTIONS.
 
-A package says its licence in its metadata, in the `package.xml` of a ROS wheel, or in its licence file. The
-tool names each package whose licence is neither in ACCEPTED nor, with a reason, in EXCEPTIONS. It then exits
-with 1.
+A package says its licence in its metadata, in the `package.xml` of a ROS wheel, or in its licence file.
 """
 
 from __future__ import annotations
 
 import re
-import sys
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -90,17 +87,3 @@ def _licences_of_files(package: Distribution) -> list[str] | None:
         if known := [name for name, words in LICENCE_TEXTS.items() if words in text]:
             return known
     return []
-
-
-def main() -> int:
-    """Print what is wrong with the licences of a lock file."""
-    if len(sys.argv) != 2:
-        sys.stderr.write("usage: python -m quadftc_tools.licences LOCK\n")
-        return 2
-    found = judge_licences(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    sys.stdout.writelines(f"{line}\n" for line in found)
-    return 1 if found else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

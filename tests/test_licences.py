@@ -1,11 +1,20 @@
-"""Licences of packages made up for the test, in the places where packages say theirs."""
+"""Licences of all locked packages; and of some made up, in the places where packages say theirs."""
 
 import importlib.metadata
+import subprocess
+from pathlib import Path
 
+import licences
 import pytest
+from licences import judge_licences
 
-from quadftc_tools import licences
-from quadftc_tools.licences import judge_licences
+ROOT = Path(__file__).parents[1]
+
+
+def test_every_locked_package_may_be_used():
+    command = ["bash", "-c", ". scripts/lib/common.sh; lock_file"]
+    lock = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    assert judge_licences((ROOT / lock).read_text(encoding="utf-8")) == []
 
 
 @pytest.fixture
