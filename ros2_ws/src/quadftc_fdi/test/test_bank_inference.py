@@ -221,5 +221,5 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
     bank = inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0)
-    gone = inference.forget(bank, np.array([False, True, False])).age < 0.0
+    gone = inference.forget(bank, np.array([False, True, False]), np.zeros(3, np.bool_)).age < 0.0
     assert np.array_equal(gone, (modes.AXIS[: modes.EFFECTS] == 1)[:, None] | (bank.age < 0.0))

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank.modes import AXIS, EFFECT, EFFECTS, PRIOR, PUSH, RATE, pattern
+from quadftc_fdi.bank.modes import AXIS, CHANGES, EFFECT, EFFECTS, GYRO, KIND, PRIOR, PUSH, RATE, pattern
 from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, STATES, THETA, D, Gains
 from quadftc_fdi.bank.noise import MEMORY, SMALL
 from quadftc_fdi.bank.noise import PRIOR as LEARNING
@@ -183,9 +183,9 @@ def believe(state: Bank) -> Posterior:
 
 def by_effect(of_modes: Array) -> Array:
     """Add up (..., modes, slots) of modes whose effects are alike: (..., effects, slots)."""
-    extra = of_modes[..., EFFECTS:, :]
-    like = of_modes[..., : extra.shape[-2], :] + extra
-    return namespace(like).concatenate([like, of_modes[..., extra.shape[-2] : EFFECTS, :]], axis=-2)
+    kinds = [of_modes[..., 3 * kind : 3 * kind + 3, :] for kind in range(len(CHANGES))]
+    like = [sum(each for each, what in zip(kinds, CHANGES, strict=True) if what == k) for k in range(EFFECTS // 3)]
+    return namespace(of_modes).concatenate(like, axis=-2)
 
 
 def _solved(J: Array, d: Array, prior: Array) -> tuple[Array, Array, Array]:
@@ -222,7 +222,13 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     return state._replace(temper=larger(state.temper + news, 1.0), learned=time)
 
 
-def forget(state: Bank, axes: Mask) -> Bank:
-    """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise."""
-    gone = axes[..., AXIS[:EFFECTS]][..., None]
-    return state._replace(age=where(gone, NEVER, state.age))
+def forget(state: Bank, axes: Mask, alone: Mask) -> Bank:
+    """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise.
+
+    A gyro that is ``alone``, without its attitude, has explained what other axes show: it needs new evidence.
+    """
+    own = AXIS[:EFFECTS]
+    gone = axes[..., own][..., None]
+    again = ~(alone[..., own] & (KIND[:EFFECTS] == GYRO))[..., None]
+    J, d = state.J * again[..., None, None, :, :], state.d * again[..., None, None, :, :]
+    return state._replace(age=where(gone, NEVER, state.age), J=J, d=d)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-ATTITUDE, GYRO, PUSH, JUMP = range(4)  # what a mode changes, and the row of its kind
+ATTITUDE, GYRO, PUSH, JUMP, WILD = range(5)  # rows of the kinds; the first three are what a mode changes
 
 
 class Kind(NamedTuple):
@@ -32,6 +32,7 @@ ATTITUDE_SIZE = math.radians(5.0)  # rad; chosen: what a sensor jumps
 ATTITUDE_SLOPE = 0.03  # rad/s; chosen: seldom creeps; decides who is blamed for a slow discrepancy
 GYRO_SIZE = 0.3  # rad/s; chosen: what a sensor jumps
 GYRO_SLOPE = 0.3  # rad/s²; chosen: fast drift
+GYRO_WILD = 10.0  # rad/s²; chosen: of a reading that oscillates or lags
 PUSH_SIZE = 10.0  # rad/s²; chosen: collision, gust
 JUMP_SIZE = math.radians(0.1)  # rad; chosen: what an attitude jumps as a marker hides or a filter resets
 NONE = 1e-6  # 1/s; rounding: the slope of what has none
@@ -40,15 +41,19 @@ KINDS = (
     Kind("gyro", True, GYRO_SIZE, GYRO_SLOPE, FAULTS),
     Kind("push", False, PUSH_SIZE, NONE, EVENTS),
     Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
+    Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
+CHANGES = (ATTITUDE, GYRO, PUSH, ATTITUDE, GYRO)  # what each kind changes
 MODES = 3 * len(KINDS)
-EFFECTS = 9  # modes with an effect of their own; a jump has that of a faulty attitude
-EFFECT = np.arange(MODES) % EFFECTS
+EFFECTS = 9  # modes with an effect of their own: kinds that change the same share it
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
+CHANGED = np.array(CHANGES)[KIND]
+EFFECT = 3 * CHANGED + AXIS
 PRIOR = np.array([[kind.size, kind.slope] for kind in KINDS])[KIND] ** 2  # (modes, 2) variances
 RATE = np.array([kind.rate for kind in KINDS])[KIND] / 3600.0  # (modes,) per second
 IS_FAULT = np.array([kind.is_fault for kind in KINDS])[KIND]
+SAME = 1.0 * np.equal(EFFECT[:, None], EFFECT) * np.equal(IS_FAULT[:, None], IS_FAULT)  # one name: added up
 
 
 def pattern(kind: int) -> NDArray[np.float64]:

@@ -89,6 +89,13 @@ def start_motion(q_xyzw: Quaternion, gyro: Vector, noise: Noise) -> Motion:
     return Motion(q_xyzw, zeros, gyro, zeros, xp.zeros((*gyro.shape, 3)), zeros, silent, P)
 
 
+def unsettled(state: Motion, variance: Vector) -> Motion:
+    """Let the unknown acceleration have a variance [rad²/s⁴], at least."""
+    P = state.covariance
+    more = larger(variance - P[..., D, D], 0.0)
+    return state._replace(covariance=P + more[..., None, None] * np.diag(np.eye(STATES)[D]))
+
+
 def predict(
     state: Motion,
     known: Vector,

@@ -29,7 +29,7 @@ from quadftc_model.arrays import (
     where,
 )
 
-FAULTY_WALK = 0.1  # rad/s/√s; chosen: walk of the bias of a gyro that is not believed
+FAULTY_WALK = 1.0  # rad/s/√s; chosen: walk of the bias of a gyro that is not believed
 AGREES = CORRELATED  # s; for which an attitude must agree with the motion: longer than a gust lasts
 SOON = 0.05  # s; chosen: for which an attitude must agree after a jump back
 SEEN = 12.0  # 1; derived: log-likelihood of a jump back, by 99 % and a prior of 1e-3 a sample
@@ -56,11 +56,12 @@ def full_trust(like: Vector) -> Trust:
 
 
 def take_over(
-    motion: Motion, bank: Bank, posterior: Posterior, mode: Array, added: Array
+    motion: Motion, bank: Bank, posterior: Posterior, mode: Array, added: Array, alone: Mask
 ) -> tuple[Motion, Bank, Scalar]:
     """Believe the likeliest onset of a mode (..., modes): return motion, bank and age of that onset [s].
 
-    ``added`` (..., 3, effects) is what a faulty attitude adds to its rotation vector.
+    ``added`` (..., 3, effects) is what a faulty attitude adds to its rotation vector; gyros are ``alone`` where
+    the attitude is not believed.
     """
     xp = namespace(posterior.log_weight)
     own = where(mode[..., None], posterior.log_weight, 2.0 * inference.LOWEST)
@@ -71,7 +72,7 @@ def take_over(
 
     # what a faulty gyro reads too much is its bias from now on; an attitude that jumped is the new one
     effect = inference.by_effect(1.0 * pick)
-    jumped = 1.0 * mode[..., modes.EFFECTS :].any(axis=-1)
+    jumped = 1.0 * (mode & (modes.KIND == modes.JUMP)).any(axis=-1)
     states = np.arange(STATES)[:, None, None]
     of_gyro = np.equal(states, BETA) * modes.pattern(modes.GYRO)
     moves = of_gyro + np.equal(states, THETA) * (column(column(jumped)) * added)[..., None, :, :]
@@ -85,7 +86,7 @@ def take_over(
     P = motion.covariance + U.swapaxes(-1, -2) @ spread[..., None, :, :] @ U
     axes = (mode[..., None] & (modes.AXIS[:, None] == np.arange(3))).any(axis=-2)
     age = of(bank.age[..., modes.EFFECT, :])
-    return moved_by(motion, change)._replace(covariance=P), inference.forget(bank, axes), age
+    return moved_by(motion, change)._replace(covariance=P), inference.forget(bank, axes, alone), age
 
 
 def watch_gyro(

@@ -1,6 +1,6 @@
 """`bank`: one model of the motion, one table of modes, Bayes for the rest. On trial: docs/bank.md.
 
-It judges attitude and gyro. The accelerometer, the rotors and the position are not in its model yet.
+It judges attitude and gyro; accelerometer and rotors are judged beside it (`bank.translation`).
 """
 
 from __future__ import annotations
@@ -9,13 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank import inference, modes, motion, noise, readings, trust
+from quadftc_fdi.bank import inference, modes, motion, noise, readings, translation, trust
 from quadftc_fdi.bank.inference import OF_ATTITUDE, OF_GYRO, Bank
 from quadftc_fdi.bank.motion import Motion
 from quadftc_fdi.bank.noise import Learning, Noise
 from quadftc_fdi.bank.readings import Readings
+from quadftc_fdi.bank.translation import Translation
 from quadftc_fdi.bank.trust import Trust
 from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, register, without_fault
+from quadftc_fdi.isolation import free_flight
+from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, effects_of, model_of
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Array,
@@ -38,7 +41,9 @@ from quadftc_model.arrays import (
     stacked,
     where,
 )
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
+from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import (
@@ -67,6 +72,7 @@ class State(NamedTuple):
     rate: Vector  # reading of the gyro at the last sample [rad/s]
     q_xyzw: Quaternion  # attitude read at the last sample
     torque: Vector  # behind its lag [N m]
+    translation: Translation
 
 
 class Seen(NamedTuple):
@@ -85,6 +91,22 @@ class BankObserver(FaultObserver):
     level: float = parameter(0.99, low=0.5, high=1.0, doc="probability from which a fault is named")
     rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
+    position_delay: float = parameter(0.0, unit="s", low=0.0, high=1.0, doc="age of a position when it comes")
+    position_noise: float = parameter(0.002, unit="m", low=1e-4, high=100.0, doc="of a position, 1 sigma")
+    gives_velocity: bool = parameter(False, doc="whether the position sensor measures the velocity, too")
+    velocity_noise: float = parameter(0.1, unit="m/s", low=1e-3, high=100.0, doc="of a velocity, 1 sigma")
+
+    @prepared
+    def motion_law(self) -> PositionEstimator:
+        """The estimator of what attitude and accelerometer do wrong in free flight."""
+        return free_flight.motion_law(
+            self.position_delay, self.position_noise, self.gives_velocity, self.velocity_noise
+        )
+
+    @prepared
+    def rotor_effects(self) -> Effects:
+        """What the rotors do to gyro and accelerometer."""
+        return effects_of(model_of(self.vehicle))
 
     def init(self, inputs: FaultObserverInputs) -> State:
         """Start at a sample."""
@@ -106,6 +128,9 @@ class BankObserver(FaultObserver):
             rate=imu.body_rate,
             q_xyzw=imu.q_xyzw,
             torque=inputs.torque,
+            translation=translation.start_translation(
+                self.vehicle, self.motion_law, self.rotor_effects, inputs
+            ),
         )
 
     def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> State:
@@ -128,7 +153,8 @@ class BankObserver(FaultObserver):
         imu, levels = inputs.imu, noise.noise_of(state.learning)
         attitude_read, gyro_read, good_attitude, good_gyro = self._read(state, imu, dt)
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
-        moved, known, torque = self._predict(state, inputs, read, levels, dt)
+        beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
+        moved, known, torque = self._predict(state, inputs, read, turning, levels, dt)
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
         bank = inference.open_slots(bank, state.worth, dt)
         # measure
@@ -139,8 +165,8 @@ class BankObserver(FaultObserver):
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
         added = _turning(angles) @ modes.pattern(modes.ATTITUDE)
         expected = inference.of_attitude(bank, moved.rate, added)
-        kept = quaternion_from_euler(angles + where(state.attitude.faulty, 0.0, off))
-        taken = where(any_of(state.attitude.faulty), kept, imu.q_xyzw)
+        kept = quaternion_from_euler(angles + where(good_attitude, off, 0.0))
+        taken = where(any_of(~good_attitude), kept, imu.q_xyzw)
         moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
         bank = inference.weigh(bank, OF_ATTITUDE, by_attitude, expected)
         # believe
@@ -151,10 +177,10 @@ class BankObserver(FaultObserver):
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
-            lambda: trust.take_over(moved, bank, posterior, named, added),
+            lambda: trust.take_over(moved, bank, posterior, named, added, ~good_attitude),
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
-        attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), named[..., 3:6]
+        attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), named[..., 3:6] | named[..., 12:]
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(state.attitude, attitude, age, off, spread, white, there, dt)
         before, louder = state.motion.bias, noise.louder(state.learning)
@@ -175,6 +201,7 @@ class BankObserver(FaultObserver):
             rate=read,
             q_xyzw=where(column(there), imu.q_xyzw, state.q_xyzw),
             torque=torque,
+            translation=beside,
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
         b = inference.by_effect(posterior.b * (shares * ~is_sure[..., None, None])[..., None, :, :])
@@ -183,9 +210,25 @@ class BankObserver(FaultObserver):
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         seen = (
             Seen(off, spread, p[..., :3], column(there)),
-            Seen(gyro.size, of_bias, p[..., 3:6], column(imu.rate_valid)),
+            Seen(gyro.size, of_bias, p[..., 3:6] + p[..., 12:], column(imu.rate_valid)),
         )
-        return after, self._said(after, inputs, flown, *seen)
+        return self._said(after, inputs, flown, *seen, dt)
+
+    def _judge_rotors(
+        self, state: State, inputs: FaultObserverInputs, faulty: Mask, dt: float
+    ) -> tuple[Translation, FaultObserverInputs, Vector]:
+        """Judge the rotors; return the torque and thrust that they give, and what they may give besides."""
+        moving, vehicle = state.motion, self.vehicle
+        turns = self._turns(moving.rate)
+        rate = where(faulty, moving.rate, inputs.imu.body_rate - moving.bias)
+        faulty = faulty | state.gyro.faulty
+        beside = state.translation
+        return translation.judge_rotors(beside, vehicle, self.rotor_effects, inputs, rate, turns, faulty, dt)
+
+    def _turns(self, rate: Vector) -> Vector:
+        """Angular acceleration [rad/s²] by rotation and drag alone."""
+        inertia, rate = self.vehicle.inertia, clip(rate, -samples.MAX_BODY_RATE, samples.MAX_BODY_RATE)
+        return gyroscopic_acceleration(inertia, rate) - self.vehicle.rotational_drag * rate / inertia
 
     def _read(self, state: State, imu: ImuSample, dt: float) -> tuple[Readings, Readings, Mask, Mask]:
         """Take readings of attitude and gyro; also return which of them can be used."""
@@ -197,21 +240,30 @@ class BankObserver(FaultObserver):
         return attitude, gyro, good, column(imu.rate_valid) & ~readings.is_stuck(gyro)
 
     def _predict(
-        self, state: State, inputs: FaultObserverInputs, read: Vector, levels: Noise, dt: float
+        self,
+        state: State,
+        inputs: FaultObserverInputs,
+        read: Vector,
+        turning: Vector,
+        levels: Noise,
+        dt: float,
     ) -> tuple[Motion, Vector, Vector]:
-        """Predict the motion; also return the known acceleration [rad/s²] and the torque [N m]."""
-        inertia = self.vehicle.inertia
-        share = 1.0 - exp(-dt / larger(self.rotor_lag, 1e-9))
+        """Predict the motion; also return the known acceleration [rad/s²] and the torque [N m].
+
+        ``turning`` is the variance of the acceleration that a suspect rotor may give [rad²/s⁴].
+        """
+        inertia, rotors = self.vehicle.inertia, inputs.rotors
+        lag = self.rotor_lag if rotors is None else where(rotors.measured, 0.0, self.rotor_lag)
+        share = 1.0 - exp(-dt / larger(lag, 1e-9))
         torque = state.torque + share * (inputs.torque - state.torque)
-        turning = clip(state.motion.rate, -samples.MAX_BODY_RATE, samples.MAX_BODY_RATE)
-        known = 0.5 * (torque + state.torque) / inertia + gyroscopic_acceleration(inertia, turning)
+        known = 0.5 * (torque + state.torque) / inertia + self._turns(state.motion.rate)
         between = (torque - state.torque) / inertia  # it may have changed at any time since the last sample
         usual = state.learning.gyro.drift * column(inputs.driven)  # a trim, a centre of mass that is off
         walk = where(state.gyro.faulty, trust.FAULTY_WALK, motion.WALK)
         mean = 0.5 * (read + state.rate)
         repeats = self.attitude_from_gyro
         moved = motion.predict(
-            state.motion, known + usual, between, inputs.driven, mean, walk, levels, repeats, dt
+            motion.unsettled(state.motion, turning), known + usual, between, inputs.driven, mean, walk, levels, repeats, dt
         )
         return moved, known, torque
 
@@ -220,39 +272,44 @@ class BankObserver(FaultObserver):
 
         Twice the certainty is needed of a gyro without a ``good_attitude``, the last witness of its axis. It
         is needed of a jump of the attitude, too, which must have stayed, and thrice of a push: both hide what
-        began with them.
+        began with them. A gyro must be wild for as long as it takes to hear that it vibrates.
         """
         few, kind = 1.0 - self.level, modes.KIND
-        last = (kind == modes.GYRO) & ~good_attitude[..., modes.AXIS]
+        last = (modes.CHANGED == modes.GYRO) & ~good_attitude[..., modes.AXIS]
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
         least = where(last | stays, few * few, where(modes.IS_FAULT, few, few**3))
         takes = (kind != modes.ATTITUDE) | (not self.attitude_from_gyro)  # a jump is its estimator's
         sure = doubt < least * takes
-        return sure & (p == (p * sure).max(axis=-1, keepdims=True))
+        young = (kind == modes.WILD) & (aged < noise.LONG * p)
+        return sure & (p == (p * sure).max(axis=-1, keepdims=True)) & ~young
 
     def _said(
-        self, state: State, inputs: FaultObserverInputs, flown: Motion, attitude: Seen, gyro: Seen
-    ) -> FaultEstimate:
-        """Say what is believed of a sample."""
-        imu, xp = inputs.imu, namespace(flown.rate)
-        judged = not self.attitude_from_gyro
+        self, state: State, inputs: FaultObserverInputs, flown: Motion, attitude: Seen, gyro: Seen, dt: float
+    ) -> tuple[State, FaultEstimate]:
+        """Judge the accelerometer, and say what is believed of a sample."""
+        imu, judged = inputs.imu, not self.attitude_from_gyro
         unsure = column(gyro.mine.sum(axis=-1) + judged * attitude.mine.sum(axis=-1) > self.level)
         by_attitude = self._judge(state.attitude, state.angles_read, attitude, unsure & judged)
         by_gyro = self._judge(state.gyro, state.rates_read, gyro, unsure)
-        zeros = xp.zeros_like(flown.rate)
-        none = xp.zeros_like(flown.rate, dtype=xp.uint8)
-        unjudged = SensorEstimate(none, zeros, zeros - 1.0, zeros - 1.0, zeros, none, zeros > 0.0)
-        there = imu.attitude_valid | True
-        corrected = imu._replace(
-            q_xyzw=flown.q_xyzw, body_rate=flown.rate, attitude_valid=there, rate_valid=imu.rate_valid
+        doubtful = (by_attitude.onset_age >= 0.0) | (by_gyro.onset_age >= 0.0)
+        beside = translation.judge_accelerometer(
+            state.translation, self.vehicle, self.motion_law, inputs, flown.q_xyzw, doubtful, dt
         )
-        return FaultEstimate(
+        by_accelerometer, rotors = translation.say(beside, imu.force_valid)
+        corrected = imu._replace(
+            q_xyzw=flown.q_xyzw,
+            body_rate=flown.rate,
+            attitude_valid=imu.attitude_valid | True,
+            rate_valid=imu.rate_valid,
+        )
+        return state._replace(translation=beside), FaultEstimate(
             by_attitude.size,
             by_attitude.std_dev,
             by_attitude.state,
             by_attitude.onset_age,
             corrected,
-            SensorDiagnosis(by_attitude, by_gyro, unjudged),
+            SensorDiagnosis(by_attitude, by_gyro, by_accelerometer),
+            rotors,
         )
 
     def _judge(self, state: Trust, read: Readings, seen: Seen, unsure: Flag) -> SensorEstimate:
@@ -285,7 +342,7 @@ def _probabilities(weight: Array) -> tuple[Array, Array, Array]:
     total = none + shares.sum(axis=(-1, -2))
     shares = shares / total[..., None, None]
     p = shares.sum(axis=-1)
-    others = p @ (1.0 - np.eye(modes.MODES))  # a sum, as 1 - p would lose it to rounding
+    others = p @ (1.0 - modes.SAME)  # a sum, as 1 - p would lose it to rounding
     return shares, p, column(none / total) + others
 
 

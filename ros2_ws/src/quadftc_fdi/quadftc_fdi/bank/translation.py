@@ -1,0 +1,132 @@
+"""Accelerometer and rotors, judged beside the bank: by thrust, by gravity, by the position.
+
+The rotors come first, as one that loses thrust looks like a jump of gyro and accelerometer. What they give
+then drives the bank's motion; while one is suspect, the unknown acceleration may be as large as what it gives.
+The accelerometer comes last, by the attitude that is flown.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from quadftc_fdi.isolation import accelerometer_monitor, free_flight, naming, reading_test, rotor_watch
+from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
+from quadftc_fdi.isolation.free_flight import FreeFlight
+from quadftc_fdi.isolation.reading_test import ReadingTest
+from quadftc_fdi.isolation.rotor_watch import RotorWatch
+from quadftc_fdi.rotor_diagnosis.monitor import estimate_rotors
+from quadftc_fdi.rotor_diagnosis.rotor_model import Effects
+from quadftc_model.arrays import Array, Flag, Mask, Quaternion, Scalar, Vector, column, larger, namespace, stacked, where
+from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
+from quadftc_model.rotations import earth_z_in_body
+from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs, RotorEstimate, SensorEstimate
+from quadftc_model.vehicle import Vehicle
+
+PRIOR, LEAST, NOISY = 0.5, 0.03, 0.03  # m/s²
+UNTESTED = 1e6  # m²/s⁴; variance of a prediction that tests nothing
+EVERY = slice(0, 3)
+
+
+class Translation(NamedTuple):
+    """What is known of accelerometer and rotors."""
+
+    readings: ReadingTest  # of the accelerometer
+    accelerometer: AccelerometerMonitor
+    flight: FreeFlight | None  # None on the test stand
+    rotors: RotorWatch | None  # None on the test stand
+    pushing: Vector  # variance of the force by a suspect rotor [m²/s⁴]
+
+
+def start_translation(
+    vehicle: Vehicle, law: PositionEstimator, effects: Effects, inputs: FaultObserverInputs
+) -> Translation:
+    """Start at a sample."""
+    imu, flight, rotors = inputs.imu, None, None
+    if inputs.thrust is not None:
+        flight = free_flight.start_flight(law, _motion_inputs(inputs), inputs.thrust)
+    if inputs.rotors is not None:
+        rotors = rotor_watch.start_watch(vehicle, effects, imu, inputs.rotors)
+    force = imu.specific_force
+    readings = reading_test.start_test(force, PRIOR)
+    none = namespace(force).zeros_like(force)
+    return Translation(readings, accelerometer_monitor.start_accelerometer(force), flight, rotors, none)
+
+
+def judge_rotors(
+    state: Translation,
+    vehicle: Vehicle,
+    effects: Effects,
+    inputs: FaultObserverInputs,
+    rate: Vector,
+    known: Vector,
+    faulty: Mask,
+    dt: Scalar,
+) -> tuple[Translation, FaultObserverInputs, Vector]:
+    """Judge the rotors; return the torque and thrust that they give, and what they may give besides.
+
+    ``rate`` is the gyro's [rad/s], ``faulty`` where it is not believed; ``known`` the acceleration by all but
+    the rotors [rad/s²]. What they may give is a variance of the acceleration [rad²/s⁴].
+    """
+    xp = namespace(rate)
+    none = xp.zeros_like(rate)
+    if state.rotors is None or inputs.rotors is None:
+        return state, inputs, none
+    suspects = xp.concatenate([faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
+    rotors, acts = rotor_watch.step_watch(
+        state.rotors, vehicle, effects, inputs, inputs.rotors, rate, known, suspects, dt
+    )
+    # without a gyro nothing tells a rotor from the accelerometer
+    unsure = where(inputs.imu.rate_valid, acts.pushing, STANDARD_GRAVITY**2)
+    pushing = xp.concatenate([none[..., :2], column(unsure)], axis=-1)
+    state = state._replace(rotors=rotors, pushing=pushing)
+    return state, inputs._replace(torque=acts.torque, thrust=acts.thrust), acts.turning
+
+
+def judge_accelerometer(
+    state: Translation,
+    vehicle: Vehicle,
+    law: PositionEstimator,
+    inputs: FaultObserverInputs,
+    q_xyzw: Quaternion,
+    doubtful: Mask,
+    dt: float,
+) -> Translation:
+    """Judge the accelerometer at an attitude; ``doubtful``: that or the gyro is in doubt."""
+    imu, monitor, flight = inputs.imu, state.accelerometer, state.flight
+    force, there = imu.specific_force, stacked([imu.force_valid] * 3)
+    doubtful = doubtful | ~column(inputs.driven)
+    if flight is None or inputs.thrust is None:
+        off = accelerometer_monitor.deviation_of(monitor, force, earth_z_in_body(q_xyzw))
+        unsure = namespace(off).zeros_like(off)
+    else:
+        lag: Scalar | float = vehicle.rotors.time_constant
+        if inputs.rotors is not None:
+            lag = where(inputs.rotors.measured, 0.0, lag)
+        flight = flight._replace(unsure=larger(flight.unsure, state.pushing))
+        flight, thrust = free_flight.predict_force(flight, inputs.thrust, lag, dt)
+        off, unsure = free_flight.deviation_of(monitor.offset, force, thrust, vehicle.mass), flight.unsure
+    noise, predicted = larger(state.readings.variance, LEAST**2), unsure + UNTESTED * ~column(inputs.driven)
+    readings = state.readings._replace(held=state.readings.held + state.pushing)
+    readings, verdict = reading_test.test_reading(
+        readings, force, there, off**2, predicted, noise, NOISY**2, dt
+    )
+    seen = off, noise, readings.suspicion, there, verdict, doubtful, dt
+    if flight is None:
+        monitor, learned = accelerometer_monitor.step_accelerometer(monitor, *seen)
+    else:
+        flight, monitor, learned = free_flight.step_flight(flight, law, monitor, _motion_inputs(inputs), *seen)
+    readings = reading_test.learn_noise(readings, off**2, predicted, learned, LEAST**2, dt)
+    return state._replace(readings=readings, accelerometer=monitor, flight=flight)
+
+
+def say(state: Translation, valid: Flag) -> tuple[SensorEstimate, RotorEstimate | None]:
+    """Say what is known of accelerometer and rotors; ``valid``: there is a specific force."""
+    accelerometer = naming.name_accelerometer(state.accelerometer, state.readings, EVERY, valid)
+    return accelerometer, None if state.rotors is None else estimate_rotors(state.rotors.monitor)
+
+
+def _motion_inputs(inputs: FaultObserverInputs) -> PositionEstimatorInputs:
+    assert inputs.position is not None
+    return PositionEstimatorInputs(inputs.imu, inputs.position)
