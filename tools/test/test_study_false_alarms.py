@@ -10,7 +10,7 @@ from sampling import sampled
 from quadftc_replay.calibration import FLIGHTS
 from quadftc_replay.inspection.found import make_finding
 from quadftc_tools.study.false_alarms import Judged, Truth, judge_seed, named_table, reliability_table
-from quadftc_tools.study.intervals import poisson_interval, share_interval
+from quadftc_tools.study.numbers import poisson_interval, share_interval
 
 STORED = json.loads(FLIGHTS.read_text())
 ROUNDING = 0.01  # of a probability; another compiler rounds otherwise

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from quadftc_replay.flight_log import Event, FlightLog, Signal, Watched
-from quadftc_tools.study.league_logs import SIMULATED, cut, simulated_logs
+from quadftc_tools.study.league import SIMULATED, cut, simulated_logs
 
 
 def test_cut_leaves_nothing_of_what_came_later():

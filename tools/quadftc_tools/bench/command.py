@@ -45,10 +45,7 @@ bench = typer.Typer(
 
 Observer = Annotated[str, typer.Option(help="Fault observer.")]
 Engines = Annotated[list[Runs], typer.Option("--engine", help="What runs the laws; several in turn.")]
-Out = Annotated[
-    Path | None,
-    typer.Option(help="Directory for the results: JSON, and a figure of latencies."),
-]
+Out = Annotated[Path | None, typer.Option(help="Directory for the results: JSON, and a figure of latencies.")]
 
 
 @bench.command()

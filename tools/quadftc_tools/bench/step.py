@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
 from quadftc_compile.engine import CEngine, engine_named
@@ -134,7 +135,7 @@ def _measure(heard: Heard, engine: str, batches: int) -> dict[str, Any]:
     (library,) = CEngine().prepare([heard.law]) if engine == "c" else (None,)
     if library is None:
         return found | {"engine": "numpy"} if engine == "c" else found
-    stacked, dt = _stacked(heard.inputs), np.array(heard.dt)
+    stacked, dt = jax.tree.map(lambda *each: np.stack(each), *heard.inputs), np.array(heard.dt)
     looped, facts = CRunner(heard.law, library), library.facts
     found["loop_us"] = round(min(_time_loop(looped, heard.state, stacked, dt) for _ in range(batches)), 2)
     found["statements"] = facts["statements"]["step"]
@@ -154,16 +155,6 @@ def _time_loop(runner: CRunner, state: Any, inputs: Any, dt: Any) -> float:
     begin = time.process_time()
     runner.run(state, inputs, dt)
     return MICROSECONDS * (time.process_time() - begin) / len(dt)
-
-
-def _stacked(parts: Sequence[Any]) -> Any:
-    """Return nested tuples of arrays (n, ...) from n nested tuples of arrays."""
-    first = parts[0]
-    if isinstance(first, tuple):
-        inside = [_stacked(each) for each in zip(*parts, strict=True)]
-        kind: Any = type(first)
-        return kind(*inside) if hasattr(kind, "_fields") else tuple(inside)
-    return None if first is None else np.stack(parts)
 
 
 def step_rows(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:

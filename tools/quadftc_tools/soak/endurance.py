@@ -45,7 +45,6 @@ RATE_DRIFT = 1e-3  # 1; over the whole time, in real time
 MISSING = 1e-4  # 1; share of the samples, in real time; in lock-step none
 ATTITUDE = 5.0  # deg
 RATE_WINDOW = 10.0  # s
-TOLD_EVERY = 5.0  # s
 CYCLE, REST = 60.0, 5.0  # s; in each of which both faults act and end, once the gyro bias is learned
 REFERENCE = "{kind: sine, amplitude: [3 deg, 2 deg, 5 deg], frequency: [0.7 rad/s, 0.9 rad/s, 0.5 rad/s]}"
 
@@ -125,8 +124,8 @@ def _watch(
             if not line:
                 break
             told = json.loads(line)
-            flying = "flown" not in told and (flying or told.get("samples", 0) > 0)
-            if "flown" in told:
+            flying = "flown" not in told
+            if not flying:
                 bag = folder / str(told["flown"])
                 if not told["cut"]:
                     yield _judge(bag, told, scenario_of(rate, length, told["flown"]), mode)
@@ -206,22 +205,14 @@ def fly_repeatedly(mode: str, kind: str, rate: float, length: float, minutes: fl
         number += 1
         parameters = node_parameters(scenario_of(rate, length, number))
         plan = GraphPlan(parameters, mode, bag=folder / str(number), scheduling=scheduling)
-        told = 0.0
-        _tell(flight=number)
 
         def cut() -> bool:
             return mode == "lockstep" and number > 1 and time.monotonic() >= end  # noqa: B023
 
-        def follow(samples: int) -> bool:
-            nonlocal told
-            now = time.monotonic()
-            if now - told >= TOLD_EVERY:
-                told = now
-                _tell(samples=samples)
-            return not cut()
-
         with GRAPHS[kind](plan) as graph:
-            wall = graph.run(follow)
+            graph.wait_until_connected()
+            _tell(flies=number)
+            wall = graph.run(lambda _: not cut())
             recorder = graph.recorder
             assert recorder is not None
             status = recorder.finish()

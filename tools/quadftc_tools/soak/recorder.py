@@ -45,15 +45,11 @@ from quadftc_ros.conversions import NANOSECONDS, stamp_of, time_message
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.topics import TOPICS
 
-FORMS = NODE, NODE_LOCKSTEP, COMPOSED, COMPOSED_LOCKSTEP = (
-    "node, real time",
-    "node, lock-step",
-    "composed, real time",
-    "composed, lock-step",
+FORMS = NODE, NODE_LOCKSTEP, COMPOSED, COMPOSED_LOCKSTEP = tuple(
+    f"{recorder}, {clock}" for recorder in ("node", "composed") for clock in ("real time", "lock-step")
 )
-COMPOSED_FORMS = (COMPOSED, COMPOSED_LOCKSTEP)
 KILLED, DISK_FULL = "recorder killed (SIGKILL)", "disk full"
-FORMS_HIT = {KILLED: FORMS, DISK_FULL: COMPOSED_FORMS}
+FORMS_HIT = {KILLED: FORMS, DISK_FULL: (COMPOSED, COMPOSED_LOCKSTEP)}
 ALLOWED = 1.0  # s; that a recorder may lose
 EARLIEST, LATEST = 0.1, 4.0  # s, wall time after the first message at which a recorder is hit
 SPEEDS = 0.2, 4.0  # of the messages in lock-step, as multiples of real time

@@ -36,17 +36,6 @@ CRASH, BEFORE = 0.5, 0.3  # rad/s between two rows; s, how long before it counts
 THRUST, FULL_THRUST = "controller.cmd_thrust", 65535.0  # of logs without motor commands
 
 
-class CrazyflieFlight(NamedTuple):
-    """What a log tells of a flight, row by row of one event; None: not logged."""
-
-    time: Floats  # (n,) since the first row [s]
-    body_rate: Floats  # (n, 3) [rad/s]
-    q_xyzw: Floats | None  # (n, 4) body to earth, as the vehicle estimated it
-    torque: Floats | None  # (n, 3) commanded at this row [N m]
-    motors: Floats | None  # (n, 4) commanded at this row, 0 to 1
-    thrust: Floats | None  # (n,) commanded at this row, 0 to 1
-
-
 class Recorded(NamedTuple):
     """A recorded flight as samples."""
 
@@ -57,8 +46,36 @@ class Recorded(NamedTuple):
     flying: Mask  # (n,)
 
 
-def read_flight(path: Path) -> CrazyflieFlight:
-    """Read the event of a log that has the most rows with a body rate; BagError if there is none."""
+def read_driven(path: Path, attitude: bool) -> Recorded:
+    """Read a log with torques, or with motor commands for the mixer of the vehicle's file."""
+    time, rate, columns = _read_event(path)
+    vehicle, motors = load_vehicle(VEHICLE), _take(columns, FIRST["rotor_commands"])
+    torque = _take(columns, FIRST["torque_command"])
+    if torque is None:
+        if motors is None:
+            raise BagError(f"{path}: neither torque nor motor commands; expected one of them")
+        torque = torque_from_commands(vehicle, motors)
+    drive = lagged_torque(time, torque / vehicle.inertia, vehicle.rotors.time_constant)
+    q_xyzw = _take(columns, QUATERNIONS) if attitude else None
+    if attitude and q_xyzw is None and (angles := _take(columns, ANGLES)) is not None:
+        q_xyzw = quaternion_from_euler(angles)
+    return Recorded(time, rate, q_xyzw, np.vstack([np.zeros(3), drive]), in_flight(time, rate, motors))
+
+
+def read_without_torque(path: Path) -> Recorded:
+    """Read a log that has body rates and a thrust command; its flight is while the thrust is first on."""
+    time, rate, columns = _read_event(path)
+    if THRUST not in columns:
+        raise BagError(f"{path}: no {THRUST}")
+    on = np.asarray(columns[THRUST]) / FULL_THRUST > TURNING
+    first = int(np.argmax(on))
+    landed = time[first + int(np.argmin(on[first:]))]
+    flying = (time > time[first] + TAKE_OFF) & (time < landed)
+    return Recorded(time, rate, None, np.zeros_like(rate), flying)
+
+
+def _read_event(path: Path) -> tuple[Floats, Floats, Mapping[str, NDArray[Any]]]:
+    """Return time [s], body rate and variables of the event that has most rows of a body rate."""
     events = read_usdlog(path).events.values()
     fit = [event for event in events if _take(event.columns, FIRST["gyros"]) is not None]
     if not fit:
@@ -68,14 +85,9 @@ def read_flight(path: Path) -> CrazyflieFlight:
     if (np.diff(stamp_ns) < 0).any():
         raise BagError(f"{path}: time goes back")
     columns = {name: values[good] for name, values in columns.items()}
-    rate, q_xyzw = _take(columns, FIRST["gyros"]), _take(columns, QUATERNIONS)
+    rate = _take(columns, FIRST["gyros"])
     assert rate is not None  # the event was chosen so
-    if q_xyzw is None and (angles := _take(columns, ANGLES)) is not None:
-        q_xyzw = quaternion_from_euler(angles)
-    torque, motors = (_take(columns, FIRST[name]) for name in ("torque_command", "rotor_commands"))
-    time = (stamp_ns[good] - stamp_ns[0]) / NANOSECONDS_PER_SECOND
-    thrust = np.asarray(columns[THRUST]) / FULL_THRUST if THRUST in columns else None
-    return CrazyflieFlight(time, rate, q_xyzw, torque, motors, thrust)
+    return (stamp_ns[good] - stamp_ns[0]) / NANOSECONDS_PER_SECOND, rate, columns
 
 
 def _take(columns: Mapping[str, NDArray[Any]], sources: Sequence[Source]) -> Floats | None:
@@ -84,42 +96,13 @@ def _take(columns: Mapping[str, NDArray[Any]], sources: Sequence[Source]) -> Flo
     return None if found is None else stack(columns, found.names) * found.scale
 
 
-def read_driven(path: Path, attitude: bool) -> Recorded:
-    """Read a log with torques, or with motor commands for the mixer of the vehicle's file."""
-    flight, vehicle = read_flight(path), load_vehicle(VEHICLE)
-    torque = flight.torque
-    if torque is None:
-        if flight.motors is None:
-            raise BagError(f"{path}: neither torque nor motor commands; expected one of them")
-        torque = torque_from_commands(vehicle, flight.motors)
-    drive = lagged_torque(flight.time, torque / vehicle.inertia, vehicle.rotors.time_constant)
-    drive = np.vstack([np.zeros(3), drive])
-    q_xyzw = flight.q_xyzw if attitude else None
-    return Recorded(flight.time, flight.body_rate, q_xyzw, drive, in_flight(flight))
-
-
-def read_without_torque(path: Path) -> Recorded:
-    """Read a log that has body rates and a thrust command; its flight is while the thrust is first on."""
-    flight = read_flight(path)
-    time, thrust = flight.time, flight.thrust
-    if thrust is None:
-        raise BagError(f"{path}: no {THRUST}")
-    on = thrust > TURNING
-    first = int(np.argmax(on))
-    landed = time[first + int(np.argmin(on[first:]))]
-    flying = (time > time[first] + TAKE_OFF) & (time < landed)
-    return Recorded(time, flight.body_rate, None, np.zeros_like(flight.body_rate), flying)
-
-
-def in_flight(flight: CrazyflieFlight) -> Mask:
+def in_flight(time: Floats, rate: Floats, motors: Floats | None) -> Mask:
     """Return the rows in flight: those between take-off and crash, where motors tell; (n,)."""
-    time = flight.time
     flying = np.arange(len(time)) >= STALE
-    if flight.motors is None:
+    if motors is None:
         return flying
-    turning = np.flatnonzero(flight.motors.mean(axis=1) > TURNING)
-    jumps = np.abs(np.diff(flight.body_rate, axis=0)).max(axis=1) > CRASH
-    crashes = time[1:][jumps]
+    turning = np.flatnonzero(motors.mean(axis=1) > TURNING)
+    crashes = time[1:][np.abs(np.diff(rate, axis=0)).max(axis=1) > CRASH]
     end = min(crashes[0] - BEFORE if len(crashes) else np.inf, time[turning[-1]])
     return flying & (time > time[turning[0]] + TAKE_OFF) & (time < end)
 

@@ -35,8 +35,8 @@ from quadftc_replay.inspection.verdict import Finding, Verdict
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.readers import read_log
 from quadftc_replay.writers import WRITERS
-from quadftc_tools.study.intervals import poisson_interval, share_interval
-from quadftc_tools.study.league_logs import simulated_logs
+from quadftc_tools.study.league import simulated_logs
+from quadftc_tools.study.numbers import poisson_interval, share_interval
 from quadftc_tools.study.page import NOTHING, Tables, markdown, run_study
 from quadftc_tools.study.random_flights import Loss
 from quadftc_tools.study.simulated_logs import fly_log

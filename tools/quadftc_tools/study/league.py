@@ -10,12 +10,14 @@ says what is faulty those with an attitude: healthy logs as they are, and a wind
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import json
 import sys
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,18 +26,24 @@ from quadftc_fdi.fault_observer import FaultObserver, fault_observers
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.diagnose import diagnose
-from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.imu_from_log import recording_of
+from quadftc_replay.inspection.diagnosis import read_with_layout
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.plan import FROM_GYRO
-from quadftc_tools.study.intervals import poisson_interval
-from quadftc_tools.study.league_logs import cut, read_healthy
-from quadftc_tools.study.numbers import write_number
+from quadftc_tools.study.numbers import poisson_interval, write_number
 from quadftc_tools.study.page import NOTHING, markdown, run_study
 
+RECORDINGS = ("ardupilot/*/*.BIN", "broad/*", "crazyflie/*/*", "px4/**/*.ulg")
+SIMULATED = "ardupilot/sitl"  # a file says which are healthy
+# in the names of logs that are not healthy; the controller of DeLorean's 00000004 flies by a position that
+# leaves the estimator's by 2.000 m on each axis from 9.1 s on
+FAULTY = ("cut", "tape", "motor_failure", "brownout", "00000004")
+ATTACK = "Attack Started"  # DeLorean's words; its flights are healthy until then
+SLOW = 50.0  # Hz; of the gyro: default rates of autopilots are below
 LASTS, EDGE = 2.0, 3.0  # s; of an overlaid fault, and from the begin of the flight
 WINDOW = 3.0  # s; that an observer sees before and after a fault
 SEEN, CLOSE = 0.25, 0.05  # s; from the true onset to one that is named: of a detection, of an isolation
@@ -81,6 +89,50 @@ class Watch(NamedTuple):
 
 
 Judge = Callable[[FlightLog], list[Named]]
+
+
+def simulated_logs(data: Path, healthy: bool) -> set[Path]:
+    """Simulated ArduCopter flights below a folder that are healthy, or those that are not."""
+    folder = data / SIMULATED
+    truths = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    return {folder / name for name, truth in truths.items() if truth["healthy"] == healthy}
+
+
+def read_healthy(data: Path) -> dict[str, list[FlightLog]]:
+    """Read the healthy logs, by format; ValueError if there are none."""
+    faulty = simulated_logs(data, healthy=False)
+    groups: dict[str, list[FlightLog]] = {}
+    for path in sorted(path for pattern in RECORDINGS for path in data.glob(pattern)):
+        if path.name == "LICENSE" or path in faulty or any(word in path.name for word in FAULTY):
+            continue
+        log = read_with_layout(path, "")
+        attacks = [event.time for event in log.events if ATTACK in event.text]
+        groups.setdefault(_group(log), []).append(cut(log, 0.0, attacks[0]) if attacks else log)
+    if not groups:
+        raise ValueError(f"{data}: no logs; expected {', '.join(RECORDINGS)} there")
+    return groups
+
+
+def _group(log: FlightLog) -> str:
+    gyro = next(iter(log.gyros.values()), None)
+    return f"{log.format}, default rates" if gyro is not None and gyro.rate < SLOW else log.format
+
+
+def cut(log: FlightLog, start: float, end: float) -> FlightLog:
+    """Keep what lies between two times [s]."""
+
+    def part(value: Any) -> Any:
+        if isinstance(value, Signal):
+            rows = slice(*np.searchsorted(value.time, (start, end)))
+            return Signal(value.time[rows], value.value[rows])
+        if isinstance(value, Mapping):
+            return {name: part(each) for name, each in value.items()}  # type: ignore[reportUnknownVariableType]
+        return value
+
+    parts = {entry.name: part(getattr(log, entry.name)) for entry in dataclasses.fields(log)}
+    parts["watched"] = tuple(each._replace(signal=part(each.signal)) for each in log.watched)
+    parts["events"] = tuple(each for each in log.events if start <= each.time < end)
+    return dataclasses.replace(log, **parts)
 
 
 def judge_offline(log: FlightLog) -> list[Named]:

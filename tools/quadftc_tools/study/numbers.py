@@ -1,6 +1,11 @@
-"""Numbers in the tables of the studies: three digits, with the unit; `NOTHING` where one is not known."""
+"""Numbers in the tables of the studies: three digits, with the unit; `NOTHING` where one is not known.
+
+And exact 95 % intervals of counts.
+"""
 
 from __future__ import annotations
+
+from scipy.stats import binomtest, chi2  # type: ignore[import-untyped]
 
 from quadftc_tools.study.page import NOTHING
 
@@ -44,3 +49,15 @@ def write_number(value: float | None) -> str:
     if value is None:
         return NOTHING
     return f"{value:.0f}" if abs(value) >= 10.0**_DIGITS else f"{value:.{_DIGITS}g}"
+
+
+def share_interval(hits: int, count: int) -> tuple[float, float]:
+    """Interval of a probability by ``hits`` of ``count`` (Clopper and Pearson, 1934)."""
+    found = binomtest(hits, count).proportion_ci()
+    return float(found.low), float(found.high)
+
+
+def poisson_interval(count: int) -> tuple[float, float]:
+    """Interval of the mean of a Poisson distribution of which ``count`` were seen (Garwood, 1936)."""
+    low = float(chi2.ppf(0.025, 2 * count)) / 2.0 if count else 0.0
+    return low, float(chi2.ppf(0.975, 2 * count + 2)) / 2.0

@@ -38,7 +38,6 @@ class RandomFlight(NamedTuple):
     """A flight to be flown."""
 
     base: str  # vehicle that it is made of
-    frame: str
     layout: Layout  # as the autopilot knows it
     vehicle: Vehicle
     scenario: Scenario
@@ -53,7 +52,7 @@ def draw_flight(rng: np.random.Generator, seconds: float, folder: Path, loss: Lo
     vehicle = draw_vehicle(rng, load_vehicle(base), layout)
     path = folder / "vehicle.toml"
     path.write_text(vehicle_text(vehicle), encoding="utf-8")
-    data = {
+    data: dict[str, Any] = {
         "name": "random",
         "description": "a random flight",
         "duration": seconds,
@@ -65,20 +64,14 @@ def draw_flight(rng: np.random.Generator, seconds: float, folder: Path, loss: Lo
         "position_sensor": {"grade": "mocap"},  # estimates of autopilots are as smooth, by GPS, too
         "trajectories": [draw_trajectory(rng, seconds)],
         "wind": draw_wind(rng, seconds),
-        "schemes": {
-            "flown": {
-                "observer": "none",
-                "disturbance_observer": "none",
-                "controller": str(rng.choice(CONTROLLERS)),
-                "position_controller": str(rng.choice(GUIDANCES)),
-            }
-        },
     }
+    roles = {"controller": CONTROLLERS, "position_controller": GUIDANCES}
+    data["schemes"] = {"flown": {role: str(rng.choice(names)) for role, names in roles.items()}}
     rotor = 0 if loss is None else int(loss.which * rotors) + 1
     if loss is not None:
         fault = {"kind": "loss", "channel": "rotor", "rotors": [rotor], "value": loss.share}
         data["faults"] = [{**fault, "start": loss.onset}]
-    return RandomFlight(base, f"{rotors} {frame}", layout, vehicle, parse_scenario(json.dumps(data)), rotor)
+    return RandomFlight(base, layout, vehicle, parse_scenario(json.dumps(data)), rotor)
 
 
 def draw_vehicle(rng: np.random.Generator, base: Vehicle, layout: Layout) -> Vehicle:
@@ -140,15 +133,10 @@ def draw_wind(rng: np.random.Generator, seconds: float) -> Sequence[dict[str, An
     """Draw a mean wind, turbulence, and now and then a gust."""
     speed, towards = rng.uniform(0.0, 8.0), rng.uniform(0.0, 2.0 * np.pi)
     along = np.array([np.cos(towards), np.sin(towards), 0.0])
+    dryden = {"kind": "dryden", "wind_speed": speed, "airspeed": 1.0 + speed, "height": HEIGHT}
     winds: list[dict[str, Any]] = [
         {"kind": "constant", "velocity_mean": (0.7 * speed * along).tolist()},
-        {
-            "kind": "dryden",
-            "wind_speed": speed,
-            "airspeed": 1.0 + speed,
-            "height": HEIGHT,
-            "history": rng.random(),
-        },
+        {**dryden, "history": rng.random()},
     ]
     if rng.random() < 0.3:
         start = rng.uniform(0.2, 0.8) * seconds
