@@ -116,7 +116,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
     monkeypatch.setattr(motion, "JITTER", 0.0)
     known, gyro, angle = readings(kind, size, slope, repeats_gyro)
     state, bank = fly_bank(known, gyro, angle, repeats_gyro)
-    believed = inference.believe(bank._replace(temper=np.ones_like(bank.temper)))
+    believed = inference.believe(bank._replace(temper=np.ones_like(bank.temper)), np.ones(3, np.bool_))
     start = motion.start_motion(LEVEL, np.zeros(3), NOISE).covariance[AXIS, :4, :4]
     mode = 3 * kind + AXIS
     knows, healthy = SecondFilter(start, kind), SecondFilter(start, None)
@@ -180,7 +180,7 @@ def test_a_torque_may_have_changed_at_any_time_between_two_samples():
 
 def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    believed = inference.believe(inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0))
+    believed = inference.believe(inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0), np.ones(3, np.bool_))
     for row, kind in enumerate(modes.KINDS):
         for axis in range(3):
             mode = 3 * row + axis

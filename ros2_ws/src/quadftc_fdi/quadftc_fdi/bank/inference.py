@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank.modes import AXIS, CHANGES, EFFECT, EFFECTS, GYRO, KIND, PRIOR, PUSH, RATE, pattern
+from quadftc_fdi.bank.modes import AXIS, CHANGES, EFFECT, EFFECTS, GYRO, KIND, PRIOR, PUSH, RATE, WILD, pattern
 from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, STATES, THETA, D, Gains
 from quadftc_fdi.bank.noise import MEMORY, SMALL
 from quadftc_fdi.bank.noise import PRIOR as LEARNING
@@ -172,12 +172,16 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
     )
 
 
-def believe(state: Bank) -> Posterior:
-    """Return the posterior of size and slope, and the weight of mode and onset."""
+def believe(state: Bank, witnessed: Mask) -> Posterior:
+    """Return the posterior of size and slope, and the weight of mode and onset.
+
+    A wild gyro is a hypothesis where attitude and torque are ``witnessed`` (..., 3): by one of them alone it
+    cannot be told from motion, or from an attitude that jumps.
+    """
     share = 1.0 / state.temper.max(axis=-1)[..., AXIS[:EFFECTS]]  # (..., 2, effects); alike for all onsets
     J, d = ((part * share[..., None, :, None]).sum(axis=-4)[..., EFFECT, :] for part in (state.J, state.d))
     evidence, b, covariance = _solved(J, d, PRIOR)
-    began = state.age[..., EFFECT, :] >= 0.0
+    began = (state.age[..., EFFECT, :] >= 0.0) & (witnessed[..., AXIS] | (KIND != WILD))[..., None]
     return Posterior(where(began, evidence + USUAL, LOWEST), b, covariance)
 
 

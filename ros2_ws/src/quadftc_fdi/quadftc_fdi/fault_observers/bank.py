@@ -170,10 +170,10 @@ class BankObserver(FaultObserver):
         moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
         bank = inference.weigh(bank, OF_ATTITUDE, by_attitude, expected)
         # believe
-        posterior = inference.believe(bank)
+        posterior = inference.believe(bank, good_attitude & column(inputs.driven))
         shares, p, doubt = _probabilities(posterior.log_weight)
         aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
-        named = self._named(p, doubt, good_attitude, aged)
+        named = self._named(p, doubt, good_attitude, good_gyro & ~state.gyro.faulty, aged)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
@@ -267,21 +267,22 @@ class BankObserver(FaultObserver):
         )
         return moved, known, torque
 
-    def _named(self, p: Array, doubt: Array, good_attitude: Mask, aged: Array) -> Array:
+    def _named(self, p: Array, doubt: Array, good_attitude: Mask, good_gyro: Mask, aged: Array) -> Array:
         """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
 
         Twice the certainty is needed of a gyro without a ``good_attitude``, the last witness of its axis. It
         is needed of a jump of the attitude, too, which must have stayed, and thrice of a push: both hide what
-        began with them. A gyro must be wild for as long as it takes to hear that it vibrates.
+        began with them. A wild gyro must be so for as long as it takes to hear vibration.
         """
         few, kind = 1.0 - self.level, modes.KIND
         last = (modes.CHANGED == modes.GYRO) & ~good_attitude[..., modes.AXIS]
+        last = last | ((kind == modes.ATTITUDE) & ~good_gyro[..., modes.AXIS]) | (kind == modes.WILD)
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
         least = where(last | stays, few * few, where(modes.IS_FAULT, few, few**3))
         takes = (kind != modes.ATTITUDE) | (not self.attitude_from_gyro)  # a jump is its estimator's
         sure = doubt < least * takes
-        young = (kind == modes.WILD) & (aged < noise.LONG * p)
-        return sure & (p == (p * sure).max(axis=-1, keepdims=True)) & ~young
+        heard = (kind != modes.WILD) | (aged > noise.LONG * p)
+        return sure & (p == (p * sure).max(axis=-1, keepdims=True)) & heard
 
     def _said(
         self, state: State, inputs: FaultObserverInputs, flown: Motion, attitude: Seen, gyro: Seen, dt: float
