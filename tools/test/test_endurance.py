@@ -26,7 +26,7 @@ def test_process_that_grows_is_found_out(program, grows):
     with subprocess.Popen([sys.executable, "-c", program]) as process:
         try:
             looks = Looks(process.pid)
-            for _ in range(20):
+            for _ in range(8):
                 time.sleep(0.05)
                 looks.look()
         finally:

@@ -12,7 +12,7 @@ from quadftc_flight.scenario import build_scenario, find_scenario, load_scenario
 from quadftc_model.samples import FAULTY
 
 FREE = """
-duration: 1.2 s
+duration: 0.8 s
 rate: 250 Hz
 seed: 3
 vehicle: x500
@@ -67,7 +67,7 @@ def test_a_weak_rotor_that_is_named_is_judged_by_its_metrics():
             "faults": [
                 {"kind": "stuck", "channel": "rotor", "rotors": [1, 3], "start": 0.3, "stop": 0.6},
                 {"kind": "chipped", "rotors": [2], "value": 0.1, "unbalance": 1e-6, "start": 0.5},
-                {"kind": "off", "rotors": 4, "start": 1.0},
+                {"kind": "off", "rotors": 4, "start": 0.6},
             ]
         },
         {"vehicle": "crazyflie_2x", "disturbances": [], "schemes": {"tested": {"controller": "indi"}}},
