@@ -342,6 +342,8 @@ def test_second_gyro_tells_whether_gyro_or_attitude_creeps():
     owners = [owner_by_other(creep, {"": first, "1": still}) for first in (wrong, still, half)]
     assert [each and each.component for each in owners] == ["gyro", "attitude", None]
     assert owner_by_other(creep, {"": wrong}) is None
+    ended = Signal(still.time[still.time < 1.0], still.value[still.time < 1.0])
+    assert owner_by_other(creep, {"": wrong, "1": ended}) is None
 
 
 def test_what_goes_beyond_a_limit_is_told_in_the_timeline_alone():

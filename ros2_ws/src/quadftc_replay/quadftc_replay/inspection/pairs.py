@@ -148,6 +148,8 @@ def owner_by_other(creep: Creep, gyros: Mapping[str, Signal]) -> Owner | None:
     for other in others:
         difference = differ(main, other)[2]
         rows = slice(*np.searchsorted(difference.time, (creep.span.start, creep.span.end)))
+        if rows.start == rows.stop:  # the other has no sample then
+            continue
         share = float(np.mean(difference.value[rows, creep.axis])) / creep.size
         if abs(share - 1.0) < CLEAR or abs(share) < CLEAR:
             return Owner("gyro" if share > 0.5 else "attitude", "another gyro")
