@@ -23,7 +23,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank.modes import AXIS, CHANGES, EFFECT, EFFECTS, GYRO, KIND, PRIOR, PUSH, RATE, WILD, pattern
+from quadftc_fdi.bank.modes import (
+    AXIS,
+    CHANGES,
+    EFFECT,
+    EFFECTS,
+    GYRO,
+    KIND,
+    PRIOR,
+    PUSH,
+    RATE,
+    WILD,
+    pattern,
+)
 from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, STATES, THETA, D, Gains
 from quadftc_fdi.bank.noise import MEMORY, SMALL
 from quadftc_fdi.bank.noise import PRIOR as LEARNING
@@ -188,8 +200,9 @@ def believe(state: Bank, witnessed: Mask) -> Posterior:
 def by_effect(of_modes: Array) -> Array:
     """Add up (..., modes, slots) of modes whose effects are alike: (..., effects, slots)."""
     kinds = [of_modes[..., 3 * kind : 3 * kind + 3, :] for kind in range(len(CHANGES))]
-    like = [sum(each for each, what in zip(kinds, CHANGES, strict=True) if what == k) for k in range(EFFECTS // 3)]
-    return namespace(of_modes).concatenate(like, axis=-2)
+    for kind in range(EFFECTS // 3, len(CHANGES)):
+        kinds[CHANGES[kind]] = kinds[CHANGES[kind]] + kinds[kind]
+    return namespace(of_modes).concatenate(kinds[: EFFECTS // 3], axis=-2)
 
 
 def _solved(J: Array, d: Array, prior: Array) -> tuple[Array, Array, Array]:

@@ -30,15 +30,14 @@ FAULTS = 0.1  # 1/h; chosen: of a sensor, on each axis
 EVENTS = 100.0  # 1/h; chosen: on each axis, what is no fault
 ATTITUDE_SIZE = math.radians(5.0)  # rad; chosen: what a sensor jumps
 ATTITUDE_SLOPE = 0.03  # rad/s; chosen: seldom creeps; decides who is blamed for a slow discrepancy
-GYRO_SIZE = 0.3  # rad/s; chosen: what a sensor jumps
-GYRO_SLOPE = 0.3  # rad/s²; chosen: fast drift
+GYRO_SIZE = 0.3  # rad/s; chosen: what a sensor jumps, and what a fast one drifts in a second
 GYRO_WILD = 10.0  # rad/s²; chosen: of a reading that oscillates or lags
 PUSH_SIZE = 10.0  # rad/s²; chosen: collision, gust
 JUMP_SIZE = math.radians(0.1)  # rad; chosen: what an attitude jumps as a marker hides or a filter resets
 NONE = 1e-6  # 1/s; rounding: the slope of what has none
 KINDS = (
     Kind("attitude", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),
-    Kind("gyro", True, GYRO_SIZE, GYRO_SLOPE, FAULTS),
+    Kind("gyro", True, GYRO_SIZE, GYRO_SIZE, FAULTS),
     Kind("push", False, PUSH_SIZE, NONE, EVENTS),
     Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),

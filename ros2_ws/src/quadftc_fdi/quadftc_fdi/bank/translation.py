@@ -1,31 +1,39 @@
 """Accelerometer and rotors, judged beside the bank: by thrust, by gravity, by the position.
 
 The rotors come first, as one that loses thrust looks like a jump of gyro and accelerometer. What they give
-then drives the bank's motion; while one is suspect, the unknown acceleration may be as large as what it gives.
-The accelerometer comes last, by the attitude that is flown.
+then drives the bank's motion. While one is suspect, the unknown acceleration may be as large as its own. The
+accelerometer comes last, by the attitude that is flown.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from quadftc_fdi.isolation import accelerometer_monitor, free_flight, naming, reading_test, rotor_watch
-from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
+from quadftc_fdi.isolation.accelerometer_monitor import LEAST, NOISE, AccelerometerMonitor
 from quadftc_fdi.isolation.free_flight import FreeFlight
 from quadftc_fdi.isolation.reading_test import ReadingTest
 from quadftc_fdi.isolation.rotor_watch import RotorWatch
 from quadftc_fdi.rotor_diagnosis.monitor import estimate_rotors
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects
-from quadftc_model.arrays import Array, Flag, Mask, Quaternion, Scalar, Vector, column, larger, namespace, stacked, where
+from quadftc_model.arrays import (
+    Flag,
+    Mask,
+    Quaternion,
+    Scalar,
+    Vector,
+    column,
+    larger,
+    namespace,
+    stacked,
+    where,
+)
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.rotations import earth_z_in_body
 from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs, RotorEstimate, SensorEstimate
 from quadftc_model.vehicle import Vehicle
 
-PRIOR, LEAST, NOISY = 0.5, 0.03, 0.03  # m/s²
-UNTESTED = 1e6  # m²/s⁴; variance of a prediction that tests nothing
+UNTESTED = 1e6  # m²/s⁴; mark: variance of a prediction that tests nothing
 EVERY = slice(0, 3)
 
 
@@ -49,7 +57,7 @@ def start_translation(
     if inputs.rotors is not None:
         rotors = rotor_watch.start_watch(vehicle, effects, imu, inputs.rotors)
     force = imu.specific_force
-    readings = reading_test.start_test(force, PRIOR)
+    readings = reading_test.start_test(force, NOISE)
     none = namespace(force).zeros_like(force)
     return Translation(readings, accelerometer_monitor.start_accelerometer(force), flight, rotors, none)
 
@@ -109,14 +117,14 @@ def judge_accelerometer(
         off, unsure = free_flight.deviation_of(monitor.offset, force, thrust, vehicle.mass), flight.unsure
     noise, predicted = larger(state.readings.variance, LEAST**2), unsure + UNTESTED * ~column(inputs.driven)
     readings = state.readings._replace(held=state.readings.held + state.pushing)
-    readings, verdict = reading_test.test_reading(
-        readings, force, there, off**2, predicted, noise, NOISY**2, dt
-    )
+    readings, verdict = reading_test.test_reading(readings, force, there, off**2, predicted, noise, 0.0, dt)
     seen = off, noise, readings.suspicion, there, verdict, doubtful, dt
     if flight is None:
         monitor, learned = accelerometer_monitor.step_accelerometer(monitor, *seen)
     else:
-        flight, monitor, learned = free_flight.step_flight(flight, law, monitor, _motion_inputs(inputs), *seen)
+        flight, monitor, learned = free_flight.step_flight(
+            flight, law, monitor, _motion_inputs(inputs), *seen
+        )
     readings = reading_test.learn_noise(readings, off**2, predicted, learned, LEAST**2, dt)
     return state._replace(readings=readings, accelerometer=monitor, flight=flight)
 

@@ -60,8 +60,8 @@ def take_over(
 ) -> tuple[Motion, Bank, Scalar]:
     """Believe the likeliest onset of a mode (..., modes): return motion, bank and age of that onset [s].
 
-    ``added`` (..., 3, effects) is what a faulty attitude adds to its rotation vector; gyros are ``alone`` where
-    the attitude is not believed.
+    ``added`` (..., 3, effects) is what a faulty attitude adds to its rotation vector. Gyros are ``alone``
+    where the attitude is not believed.
     """
     xp = namespace(posterior.log_weight)
     own = where(mode[..., None], posterior.log_weight, 2.0 * inference.LOWEST)

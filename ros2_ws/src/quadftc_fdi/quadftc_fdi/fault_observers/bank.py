@@ -7,18 +7,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from quadftc_fdi.bank import inference, modes, motion, noise, readings, translation, trust
 from quadftc_fdi.bank.inference import OF_ATTITUDE, OF_GYRO, Bank
-from quadftc_fdi.bank.motion import Motion
+from quadftc_fdi.bank.motion import Gains, Motion
 from quadftc_fdi.bank.noise import Learning, Noise
 from quadftc_fdi.bank.readings import Readings
 from quadftc_fdi.bank.translation import Translation
 from quadftc_fdi.bank.trust import Trust
-from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, register, without_fault
-from quadftc_fdi.isolation import free_flight
-from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, effects_of, model_of
+from quadftc_fdi.fault_observer import LastDiagnosis, register, without_fault
+from quadftc_fdi.isolation.flight_law import FlightLaw
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Array,
@@ -41,9 +38,7 @@ from quadftc_model.arrays import (
     stacked,
     where,
 )
-from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
-from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import (
@@ -85,28 +80,12 @@ class Seen(NamedTuple):
 
 
 @register("bank")
-class BankObserver(FaultObserver):
+class BankObserver(FlightLaw):
     """Bank of fault modes: joint over sensors, axes and onsets."""
 
     level: float = parameter(0.99, low=0.5, high=1.0, doc="probability from which a fault is named")
     rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
-    position_delay: float = parameter(0.0, unit="s", low=0.0, high=1.0, doc="age of a position when it comes")
-    position_noise: float = parameter(0.002, unit="m", low=1e-4, high=100.0, doc="of a position, 1 sigma")
-    gives_velocity: bool = parameter(False, doc="whether the position sensor measures the velocity, too")
-    velocity_noise: float = parameter(0.1, unit="m/s", low=1e-3, high=100.0, doc="of a velocity, 1 sigma")
-
-    @prepared
-    def motion_law(self) -> PositionEstimator:
-        """The estimator of what attitude and accelerometer do wrong in free flight."""
-        return free_flight.motion_law(
-            self.position_delay, self.position_noise, self.gives_velocity, self.velocity_noise
-        )
-
-    @prepared
-    def rotor_effects(self) -> Effects:
-        """What the rotors do to gyro and accelerometer."""
-        return effects_of(model_of(self.vehicle))
 
     def init(self, inputs: FaultObserverInputs) -> State:
         """Start at a sample."""
@@ -155,20 +134,8 @@ class BankObserver(FaultObserver):
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
         beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
         moved, known, torque = self._predict(state, inputs, read, turning, levels, dt)
-        bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
-        bank = inference.open_slots(bank, state.worth, dt)
-        # measure
-        expected = inference.of_gyro(bank, moved.rate, modes.pattern(modes.GYRO))
-        moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
-        bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
-        angles = euler_from_quaternion(moved.q_xyzw)
-        off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
-        added = _turning(angles) @ modes.pattern(modes.ATTITUDE)
-        expected = inference.of_attitude(bank, moved.rate, added)
-        kept = quaternion_from_euler(angles + where(good_attitude, off, 0.0))
-        taken = where(any_of(~good_attitude), kept, imu.q_xyzw)
-        moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
-        bank = inference.weigh(bank, OF_ATTITUDE, by_attitude, expected)
+        good = good_gyro, good_attitude
+        bank, moved, by_attitude, off, added = self._measure(state, imu, moved, levels, good, dt)
         # believe
         posterior = inference.believe(bank, good_attitude & column(inputs.driven))
         shares, p, doubt = _probabilities(posterior.log_weight)
@@ -180,7 +147,7 @@ class BankObserver(FaultObserver):
             lambda: trust.take_over(moved, bank, posterior, named, added, ~good_attitude),
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
-        attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), named[..., 3:6] | named[..., 12:]
+        attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), _of_gyro(1.0 * named) > 0.0
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(state.attitude, attitude, age, off, spread, white, there, dt)
         before, louder = state.motion.bias, noise.louder(state.learning)
@@ -210,9 +177,31 @@ class BankObserver(FaultObserver):
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         seen = (
             Seen(off, spread, p[..., :3], column(there)),
-            Seen(gyro.size, of_bias, p[..., 3:6] + p[..., 12:], column(imu.rate_valid)),
+            Seen(gyro.size, of_bias, _of_gyro(p), column(imu.rate_valid)),
         )
         return self._said(after, inputs, flown, *seen, dt)
+
+    def _measure(
+        self, state: State, imu: ImuSample, moved: Motion, levels: Noise, good: tuple[Mask, Mask], dt: float
+    ) -> tuple[Bank, Motion, Gains, Vector, Array]:
+        """Take gyro and attitude where they are ``good``; return the bank, the motion, and of the attitude:
+        gains, how far it is off [rad], and what a fault of 1 rad adds to its rotation vector.
+        """
+        good_gyro, good_attitude = good
+        bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
+        bank = inference.open_slots(bank, state.worth, dt)
+        expected = inference.of_gyro(bank, moved.rate, modes.pattern(modes.GYRO))
+        moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
+        bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
+        angles = euler_from_quaternion(moved.q_xyzw)
+        off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
+        added = _turning(angles) @ modes.pattern(modes.ATTITUDE)
+        expected = inference.of_attitude(bank, moved.rate, added)
+        # an angle that is not used must not turn the others
+        kept = quaternion_from_euler(angles + where(good_attitude, off, 0.0))
+        taken = where(any_of(~good_attitude), kept, imu.q_xyzw)
+        moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
+        return inference.weigh(bank, OF_ATTITUDE, by_attitude, expected), moved, by_attitude, off, added
 
     def _judge_rotors(
         self, state: State, inputs: FaultObserverInputs, faulty: Mask, dt: float
@@ -262,10 +251,8 @@ class BankObserver(FaultObserver):
         walk = where(state.gyro.faulty, trust.FAULTY_WALK, motion.WALK)
         mean = 0.5 * (read + state.rate)
         repeats = self.attitude_from_gyro
-        moved = motion.predict(
-            motion.unsettled(state.motion, turning), known + usual, between, inputs.driven, mean, walk, levels, repeats, dt
-        )
-        return moved, known, torque
+        moves = known + usual, between, inputs.driven, mean, walk, levels, repeats
+        return motion.predict(motion.unsettled(state.motion, turning), *moves, dt), known, torque
 
     def _named(self, p: Array, doubt: Array, good_attitude: Mask, good_gyro: Mask, aged: Array) -> Array:
         """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
@@ -345,6 +332,11 @@ def _probabilities(weight: Array) -> tuple[Array, Array, Array]:
     p = shares.sum(axis=-1)
     others = p @ (1.0 - modes.SAME)  # a sum, as 1 - p would lose it to rounding
     return shares, p, column(none / total) + others
+
+
+def _of_gyro(of_modes: Array) -> Vector:
+    """Add up what is said of a gyro, and of a wild one, by axis."""
+    return of_modes[..., modes.EFFECT // 3 == modes.GYRO].reshape(*of_modes.shape[:-1], 2, 3).sum(axis=-2)
 
 
 def _turning(angles: Vector) -> Array:

@@ -32,13 +32,13 @@ from quadftc_fdi.isolation import (
     rotor_watch,
 )
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
+from quadftc_fdi.isolation.flight_law import FlightLaw
 from quadftc_fdi.isolation.free_flight import FreeFlight
 from quadftc_fdi.isolation.gyro_monitor import AttitudeReading, GyroMonitor, GyroReading
 from quadftc_fdi.isolation.hypotheses import Hypotheses
 from quadftc_fdi.isolation.reading_test import Channels, Flags, ReadingTest, Verdict, start_test
 from quadftc_fdi.isolation.rotor_watch import RotorWatch
 from quadftc_fdi.rotor_diagnosis.monitor import estimate_rotors
-from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, effects_of, model_of
 from quadftc_fdi.supervision import sensor_noise
 from quadftc_fdi.supervision.inertial_filter import estimate_rate
 from quadftc_fdi.supervision.transition import ROTATION
@@ -56,9 +56,8 @@ from quadftc_model.arrays import (
     stacked,
     where,
 )
-from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
-from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
+from quadftc_model.position_estimator import PositionEstimatorInputs
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler, turn
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, SensorDiagnosis
@@ -80,9 +79,14 @@ SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace
 GYRO, FORCE, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)  # channels of the readings
 # rad/s, m/s², rad; noise at first, and squared: in flight at least (vibration comes and goes), of the best
 # sensor; of one that may repeat itself. A test of the attitude by itself finds only whether it is stuck
-PRIOR = np.repeat((0.02, 0.5, 1e-3), 3)
+PRIOR = np.repeat((0.02, accelerometer_monitor.NOISE, 1e-3), 3)
 FLOOR, LEAST, NOISY = (
-    np.repeat(each, 3) ** 2 for each in ((0.005, 0.03, 10.0), (1e-5, 0.03, 1e-9), (1e-4, 1e-3, 1e-6))
+    np.repeat(each, 3) ** 2
+    for each in (
+        (0.005, accelerometer_monitor.LEAST, 10.0),
+        (1e-5, accelerometer_monitor.LEAST, 1e-9),
+        (1e-4, 0.0, 1e-6),
+    )
 )
 
 
@@ -111,7 +115,7 @@ class Judged(NamedTuple):
 
 
 @register("isolating")
-class Isolating(Supervised):
+class Isolating(FlightLaw, Supervised):
     """Tells faults of attitude, gyro and accelerometer apart, and flies on what is left."""
 
     disturbance: float = parameter(
@@ -122,22 +126,6 @@ class Isolating(Supervised):
     )
     rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
-    position_delay: float = parameter(0.0, unit="s", low=0.0, high=1.0, doc="age of a position when it comes")
-    position_noise: float = parameter(0.002, unit="m", low=1e-4, high=100.0, doc="of a position, 1 sigma")
-    gives_velocity: bool = parameter(False, doc="whether the position sensor measures the velocity, too")
-    velocity_noise: float = parameter(0.1, unit="m/s", low=1e-3, high=100.0, doc="of a velocity, 1 sigma")
-
-    @prepared
-    def motion_law(self) -> PositionEstimator:
-        """The estimator of what attitude and accelerometer do wrong in free flight."""
-        return free_flight.motion_law(
-            self.position_delay, self.position_noise, self.gives_velocity, self.velocity_noise
-        )
-
-    @prepared
-    def rotor_effects(self) -> Effects:
-        """What the rotors do to gyro and accelerometer."""
-        return effects_of(model_of(self.vehicle))
 
     def init(self, inputs: FaultObserverInputs) -> Any:
         """Start on the measurement."""

@@ -14,6 +14,7 @@ from quadftc_fdi.isolation.reading_test import Deviation, Verdict
 from quadftc_model.arrays import Mask, Scalar, Vector, any_of, exp, namespace, where
 from quadftc_model.samples import STANDARD_GRAVITY
 
+NOISE, LEAST = 0.5, 0.03  # m/s²; of a reading at first, and at least: vibration comes and goes
 OFFSET = 0.2  # m/s²; 1 sigma of what a healthy one may read too much for long: 1 deg is 0.17 m/s²
 LEARNED, AVERAGED = 20.0, 0.3  # s; over which the offset is learned, and is tested
 ALARM = 4.0  # 1; standard deviations of the average that make a fault
