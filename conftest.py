@@ -94,7 +94,7 @@ SLOW_FILES = {
     "test_isolability.py",
     "test_isolating.py",
     "test_isolating_in_flight.py",
-    "test_isolating_rotors.py",
+    "test_observers_with_rotors.py",
     "test_laws.py",
     "test_live_bag.py",
     "test_live_page.py",

@@ -223,3 +223,13 @@ def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0)
     gone = inference.forget(bank, np.array([False, True, False]), np.zeros(3, np.bool_)).age < 0.0
     assert np.array_equal(gone, (modes.AXIS[: modes.EFFECTS] == 1)[:, None] | (bank.age < 0.0))
+
+
+def test_a_gyro_without_its_attitude_needs_new_evidence_and_nobody_else_does():
+    bank = inference.start_bank(np.zeros(3))
+    bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0)
+    alone = np.array([True, False, False])
+    after = inference.forget(bank, np.zeros(3, np.bool_), alone)
+    again = (modes.KIND == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
+    for part in (after.J, after.d):
+        np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))

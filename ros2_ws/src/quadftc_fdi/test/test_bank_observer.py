@@ -98,6 +98,12 @@ def test_vibration_that_comes_and_goes_accuses_nobody():
 
 
 @pytest.mark.parametrize("axis", range(3))
+def test_a_gyro_that_oscillates_is_named_and_no_attitude(axis):
+    sine = np.sin(2.0 * np.pi * 2.5 * ELAPSED) * np.eye(3)[axis]
+    assert alarms(said_of(with_fault("gyro", sine)))[0] == {("gyro", axis)}
+
+
+@pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize(
     ("sensor", "size", "power", "within"),
     [

@@ -51,7 +51,7 @@ def test_what_is_said_before_the_start_has_the_shape_of_an_estimate(name, flies)
     for one, other in zip(jax.tree.leaves(said), jax.tree.leaves(waiting), strict=True):
         assert (np.shape(one), np.asarray(one).dtype) == (np.shape(other), np.asarray(other).dtype)
     assert waiting.state.tolist() == [STARTING] * 3
-    assert (waiting.rotors is not None) == (flies and name == "isolating")
+    assert (waiting.rotors is not None) == (flies and name in {"isolating", "bank"})
 
 
 def test_observer_is_ready_at_a_sample_with_attitude_and_body_rate():

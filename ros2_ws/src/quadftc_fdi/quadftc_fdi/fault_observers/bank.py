@@ -242,7 +242,7 @@ class BankObserver(FlightLaw):
         ``turning`` is the variance of the acceleration that a suspect rotor may give [rad²/s⁴].
         """
         inertia, rotors = self.vehicle.inertia, inputs.rotors
-        lag = self.rotor_lag if rotors is None else where(rotors.measured, 0.0, self.rotor_lag)
+        lag = self.rotor_lag if rotors is None else where(column(rotors.measured), 0.0, self.rotor_lag)
         share = 1.0 - exp(-dt / larger(lag, 1e-9))
         torque = state.torque + share * (inputs.torque - state.torque)
         known = 0.5 * (torque + state.torque) / inertia + self._turns(state.motion.rate)

@@ -1,10 +1,13 @@
-"""The observer isolating where the rotors are known: one answer, whether a rotor or a sensor fails."""
+"""Observers that know the rotors: one answer, whether a rotor or a sensor fails."""
+
+import functools
 
 import jax
 import numpy as np
 import pytest
 from in_c import fly_law
 
+from quadftc_fdi.fault_observers.bank import BankObserver
 from quadftc_fdi.fault_observers.isolating import Isolating
 from quadftc_model.rotations import turn
 from quadftc_model.samples import ALARMS, NO_PLACE, FaultObserverInputs, RotorReading, level_sample
@@ -49,9 +52,9 @@ def flight(count, loss=lambda t: 0.0, change=lambda t, sample: sample, speeds=Fa
     return inputs
 
 
-def diagnose(inputs):
+def diagnose(inputs, observer=Isolating):
     """Estimates of a flight."""
-    return fly_law(Isolating(vehicle=VEHICLE), inputs, DT)[1]
+    return fly_law(observer(vehicle=VEHICLE), inputs, DT)[1]
 
 
 def verdicts(estimates):
@@ -86,11 +89,16 @@ FLIGHTS = {  # by name, and whether speeds are measured
 }
 
 
-@pytest.fixture(scope="module")
-def flown():
-    """Estimates of all flights."""
-    cases = {key: {"count": BEGIN + 260, **case, "speeds": key[1]} for key, case in FLIGHTS.items()}
-    return {key: diagnose(flight(**case)) for key, case in cases.items()}
+@functools.cache
+def inputs_of(key):
+    """Inputs of one of the flights."""
+    return flight(**{"count": BEGIN + 260, **FLIGHTS[key], "speeds": key[1]})
+
+
+@pytest.fixture(scope="module", params=[Isolating, BankObserver])
+def flown(request):
+    """Estimates of all flights, by each observer."""
+    return {key: diagnose(inputs_of(key), request.param) for key in FLIGHTS}
 
 
 @pytest.mark.parametrize("index", WEAK)
@@ -130,14 +138,21 @@ def test_healthy_flight_names_nothing_and_without_rotors_nothing_is_said_of_them
     assert diagnose([each._replace(rotors=None) for each in flight(10)])[-1].rotors is None
 
 
+def test_without_a_gyro_the_bank_takes_no_weak_rotor_for_a_faulty_accelerometer():
+    blind = {"rate_valid": np.bool_(False), "body_rate": np.zeros(3)}
+    inputs = flight(BEGIN + 260, one_rotor(2, 0.4), lambda t, sample: sample._replace(**blind))
+    assert verdicts(diagnose(inputs, BankObserver)) == ["gyro 0", "gyro 1", "gyro 2"]
+
+
 @pytest.mark.thorough  # one by one: test_fault_observer_contract.py and test_c_equals_numpy.py
 @np.errstate(all="ignore")  # as the runner of a law
-def test_batch_in_numpy_gives_the_numbers_of_a_flight_in_c(flown):
+def test_batch_in_numpy_gives_the_numbers_of_a_flight_in_c():
     law, state = Isolating(vehicle=VEHICLE), None
+    alone = diagnose(inputs_of(("weak 2", True)))
     for index, inputs in enumerate(flight(BEGIN + 30, one_rotor(2, 0.4), speeds=True)):
         pair = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), inputs)
         state, found = law.step(law.init(pair) if state is None else state, pair, DT if index else 0.0)
-        one = flown["weak 2", True][index]
+        one = alone[index]
         for columns, value in zip(found.rotors, one.rotors, strict=True):
             np.testing.assert_allclose(columns, [value, value], rtol=1e-9, atol=1e-12)
     assert np.isin(one.rotors.state, ALARMS).any()
