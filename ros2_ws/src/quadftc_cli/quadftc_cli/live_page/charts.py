@@ -106,25 +106,19 @@ def _plan(picture: Picture) -> list[tuple[str, str, list[tuple[str, str, int, bo
     return plan
 
 
+def _series(name: str, colour: str) -> dict[str, Any]:
+    """A line without data."""
+    style: dict[str, Any] = {"width": 3.0 if name in ("truth", "injected") else 1.4, "color": colour}
+    line = {"name": name, "type": "line", "showSymbol": False, "silent": True, "color": colour, "data": []}
+    if name in ("low", "±2σ"):  # a band is stacked on its lower end
+        area = {"areaStyle": {"color": colour if name == "±2σ" else "transparent"}}
+        return line | {"stack": "band", "stackStrategy": "all", "lineStyle": {"width": 0}} | area
+    return line | {"lineStyle": style | ({"type": "dashed"} if name == "reference" else {})}
+
+
 def _chart(title: str, unit: str, lines: list[tuple[str, str, int, bool]], y_axis: dict[str, Any]) -> Any:
     """Make a chart; return it with the columns of its lines, and whether they are of the chosen axis."""
-    series: list[dict[str, Any]] = []
-    for name, colour, _, _ in lines:
-        line: dict[str, Any] = {
-            "name": name,
-            "type": "line",
-            "showSymbol": False,
-            "silent": True,
-            "color": colour,
-            "lineStyle": {"width": 3.0 if name in ("truth", "injected") else 1.4, "color": colour},
-            "data": [],
-        }
-        if name in ("low", "±2σ"):
-            line |= {"stack": "band", "stackStrategy": "all", "lineStyle": {"width": 0}}
-            line |= {"areaStyle": {"color": colour if name == "±2σ" else "transparent"}}
-        if name == "reference":
-            line["lineStyle"] |= {"type": "dashed"}
-        series.append(line)
+    series = [_series(name, colour) for name, colour, _, _ in lines]
     small = {"fontSize": 11, "color": "#5b626c"}
     options = {
         "animation": False,
