@@ -28,8 +28,7 @@ from quadftc_model.arrays import (
     stacked,
     where,
 )
-from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
-from quadftc_model.rotations import earth_z_in_body
+from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs, RotorEstimate, SensorEstimate
 from quadftc_model.vehicle import Vehicle
 
@@ -53,7 +52,7 @@ def start_translation(
     """Start at a sample."""
     imu, flight, rotors = inputs.imu, None, None
     if inputs.thrust is not None:
-        flight = free_flight.start_flight(law, _motion_inputs(inputs), inputs.thrust)
+        flight = free_flight.start_flight(law, free_flight.motion_inputs(inputs), inputs.thrust)
     if inputs.rotors is not None:
         rotors = rotor_watch.start_watch(vehicle, effects, imu, inputs.rotors)
     force = imu.specific_force
@@ -105,16 +104,9 @@ def judge_accelerometer(
     imu, monitor, flight = inputs.imu, state.accelerometer, state.flight
     force, there = imu.specific_force, stacked([imu.force_valid] * 3)
     doubtful = doubtful | ~column(inputs.driven)
-    if flight is None or inputs.thrust is None:
-        off = accelerometer_monitor.deviation_of(monitor, force, earth_z_in_body(q_xyzw))
-        unsure = namespace(off).zeros_like(off)
-    else:
-        lag: Scalar | float = vehicle.rotors.time_constant
-        if inputs.rotors is not None:
-            lag = where(inputs.rotors.measured, 0.0, lag)
+    if flight is not None:
         flight = flight._replace(unsure=larger(flight.unsure, state.pushing))
-        flight, thrust = free_flight.predict_force(flight, inputs.thrust, lag, dt)
-        off, unsure = free_flight.deviation_of(monitor.offset, force, thrust, vehicle.mass), flight.unsure
+    flight, off, unsure = free_flight.force_deviation(flight, monitor, vehicle, inputs, q_xyzw, dt)
     noise, predicted = larger(state.readings.variance, LEAST**2), unsure + UNTESTED * ~column(inputs.driven)
     readings = state.readings._replace(held=state.readings.held + state.pushing)
     readings, verdict = reading_test.test_reading(readings, force, there, off**2, predicted, noise, 0.0, dt)
@@ -123,7 +115,7 @@ def judge_accelerometer(
         monitor, learned = accelerometer_monitor.step_accelerometer(monitor, *seen)
     else:
         flight, monitor, learned = free_flight.step_flight(
-            flight, law, monitor, _motion_inputs(inputs), *seen
+            flight, law, monitor, free_flight.motion_inputs(inputs), *seen
         )
     readings = reading_test.learn_noise(readings, off**2, predicted, learned, LEAST**2, dt)
     return state._replace(readings=readings, accelerometer=monitor, flight=flight)
@@ -133,8 +125,3 @@ def say(state: Translation, valid: Flag) -> tuple[SensorEstimate, RotorEstimate 
     """Say what is known of accelerometer and rotors; ``valid``: there is a specific force."""
     accelerometer = naming.name_accelerometer(state.accelerometer, state.readings, EVERY, valid)
     return accelerometer, None if state.rotors is None else estimate_rotors(state.rotors.monitor)
-
-
-def _motion_inputs(inputs: FaultObserverInputs) -> PositionEstimatorInputs:
-    assert inputs.position is not None
-    return PositionEstimatorInputs(inputs.imu, inputs.position)

@@ -57,9 +57,8 @@ from quadftc_model.arrays import (
     where,
 )
 from quadftc_model.parameters import parameter
-from quadftc_model.position_estimator import PositionEstimatorInputs
 from quadftc_model.rigid_body import gyroscopic_acceleration
-from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler, turn
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, SensorDiagnosis
 
 DEG = math.pi / 180.0
@@ -148,7 +147,9 @@ class Isolating(FlightLaw, Supervised):
         rate = estimate_rate(attitude.filter.x, imu.body_rate)
         flight = rotors = None
         if inputs.thrust is not None:
-            flight = free_flight.start_flight(self.motion_law, _motion_inputs(inputs), inputs.thrust)
+            flight = free_flight.start_flight(
+                self.motion_law, free_flight.motion_inputs(inputs), inputs.thrust
+            )
         if inputs.rotors is not None:
             rotors = rotor_watch.start_watch(self.vehicle, self.rotor_effects, imu, inputs.rotors)
         return State(
@@ -263,7 +264,8 @@ class Isolating(FlightLaw, Supervised):
         adopted = omega, FLOOR[GYRO], state.gyro.trace.needed, returns
         ahead = ahead._replace(filter=rate_filter.adopt_gyro(ahead.filter, *adopted))
         # test
-        flight, off, unsure = self._force_deviation(state, inputs, omega, dt)
+        q_xyzw, watched = turn(before.filter.q_xyzw, dt * omega), (state.flight, state.accelerometer)
+        flight, off, unsure = free_flight.force_deviation(*watched, self.vehicle, inputs, q_xyzw, dt)
         raw = _channels(imu)
         moved = raw[..., ATTITUDE] - state.readings.reading[..., ATTITUDE]
         square = xp.concatenate([omega - ahead.filter.rate, off, moved], axis=-1) ** 2
@@ -292,7 +294,7 @@ class Isolating(FlightLaw, Supervised):
             accelerometer, learned = accelerometer_monitor.step_accelerometer(state.accelerometer, *force)
         else:
             flight, accelerometer, learned = free_flight.step_flight(
-                flight, self.motion_law, state.accelerometer, _motion_inputs(inputs), *force
+                flight, self.motion_law, state.accelerometer, free_flight.motion_inputs(inputs), *force
             )
         used = xp.concatenate([taught, learned, there[..., ATTITUDE]], axis=-1)
         square = xp.concatenate([white, square[..., FORCE.start :]], axis=-1)
@@ -326,22 +328,6 @@ class Isolating(FlightLaw, Supervised):
             rotors=rotors,
         )
         return state, inputs._replace(torque=acts.torque, thrust=acts.thrust)
-
-    def _force_deviation(
-        self, state: State, inputs: FaultObserverInputs, omega: Vector, dt: Scalar
-    ) -> tuple[FreeFlight | None, Vector, Vector]:
-        """What the accelerometer reads too much, against gravity or thrust, and the variance of that."""
-        monitor, force = state.accelerometer, inputs.imu.specific_force
-        if state.flight is None or inputs.thrust is None:
-            vertical = earth_z_in_body(turn(state.attitude.filter.q_xyzw, dt * omega))
-            off = accelerometer_monitor.deviation_of(monitor, force, vertical)
-            return None, off, namespace(off).zeros_like(off)
-        lag = self.vehicle.rotors.time_constant
-        if inputs.rotors is not None:
-            lag = where(inputs.rotors.measured, 0.0, lag)
-        flight, thrust = free_flight.predict_force(state.flight, inputs.thrust, lag, dt)
-        off = free_flight.deviation_of(monitor.offset, force, thrust, self.vehicle.mass)
-        return flight, off, flight.unsure
 
     def _attitude_reading(
         self, imu: ImuSample, before: supervised.State, there: Mask, dt: Scalar
@@ -419,12 +405,6 @@ def _begin_judging(state: State) -> Judged:
     no = state.readings.time < 0.0
     verdict = Verdict(~no, no, no, no)
     return Judged(state.readings, state.gyro, state.accelerometer, verdict, state.flight, state.rotors)
-
-
-def _motion_inputs(inputs: FaultObserverInputs) -> PositionEstimatorInputs:
-    """Return the inputs of the estimator of motion in free flight."""
-    assert inputs.position is not None
-    return PositionEstimatorInputs(inputs.imu, inputs.position)
 
 
 def _channels(imu: ImuSample) -> Channels:

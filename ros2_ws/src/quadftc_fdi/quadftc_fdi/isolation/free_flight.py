@@ -22,12 +22,13 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.fault_observer import SHORTEST
-from quadftc_fdi.isolation import reading_test
+from quadftc_fdi.isolation import accelerometer_monitor, reading_test
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
 from quadftc_fdi.isolation.reading_test import Verdict
 from quadftc_model.arrays import (
     Flag,
     Mask,
+    Quaternion,
     Scalar,
     Vector,
     any_of,
@@ -43,7 +44,9 @@ from quadftc_model.arrays import (
     where,
 )
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs, State
-from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_model.rotations import earth_z_in_body
+from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs
+from quadftc_model.vehicle import Vehicle
 
 GUSTY = 1.0  # m/s²/sqrt(s); random walk of the drag: a gust of 5 m/s within 0.3 s is followed
 LOST = 1.0  # m²/s⁴; variance of a drag of which nothing is known
@@ -91,6 +94,35 @@ def start_flight(law: PositionEstimator, inputs: PositionEstimatorInputs, thrust
     zeros = namespace(inputs.imu.specific_force).zeros_like(inputs.imu.specific_force)
     zero = zeros[..., 0]
     return FreeFlight(thrust + zero, zeros + LOST, law.init(inputs), zeros, zeros, zero, zero, zeros)
+
+
+def motion_inputs(inputs: FaultObserverInputs) -> PositionEstimatorInputs:
+    """Return what the estimator of b sees of a sample in free flight."""
+    assert inputs.position is not None
+    return PositionEstimatorInputs(inputs.imu, inputs.position)
+
+
+def force_deviation(
+    state: FreeFlight | None,
+    monitor: AccelerometerMonitor,
+    vehicle: Vehicle,
+    inputs: FaultObserverInputs,
+    q_xyzw: Quaternion,
+    dt: Scalar,
+) -> tuple[FreeFlight | None, Vector, Vector]:
+    """What the accelerometer reads too much, against gravity or thrust [m/s²], and the variance of that.
+
+    Without a state, on a test stand, gravity is that at an attitude.
+    """
+    force = inputs.imu.specific_force
+    if state is None or inputs.thrust is None:
+        off = accelerometer_monitor.deviation_of(monitor, force, earth_z_in_body(q_xyzw))
+        return None, off, namespace(off).zeros_like(off)
+    lag: Scalar | float = vehicle.rotors.time_constant
+    if inputs.rotors is not None:
+        lag = where(inputs.rotors.measured, 0.0, lag)
+    flight, thrust = predict_force(state, inputs.thrust, lag, dt)
+    return flight, deviation_of(monitor.offset, force, thrust, vehicle.mass), flight.unsure
 
 
 def predict_force(state: FreeFlight, thrust: Scalar, lag: Scalar, dt: Scalar) -> tuple[FreeFlight, Scalar]:
