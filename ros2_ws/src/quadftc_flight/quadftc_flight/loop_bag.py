@@ -5,10 +5,11 @@ The topics are those that a `Flight` is made of. A quantity that the closed loop
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +30,15 @@ from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, TOPICS
 
 CHUNK = 1024 * 1024  # bytes
 
+Message = tuple[int, int, bytes]  # stamp [ns], channel, data
+
 
 class BagRecord(FlightRecord):
     """A flight with what a bag holds besides: samples of the sensors, and the rotor speeds commanded."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.parts: dict[str, list[dict[str, NDArray[Any]]]] = {}  # by topic; with their rows of the flight
+        self._parts: dict[str, list[dict[str, NDArray[Any]]]] = {}  # by topic; with their rows of the flight
 
     def note(self, begin: int, output: LoopOutput) -> None:
         """Note what was put out from a row on, arrays (n, ...)."""
@@ -52,57 +55,91 @@ class BagRecord(FlightRecord):
             fields = {"position": place.position[there], "velocity": place.velocity[there]}
             self._keep("position/data", first + there, fields)
 
-    def column(self, topic: str, name: str) -> NDArray[Any]:
-        """Return a quantity of all messages of a topic."""
-        return np.concatenate([part[name] for part in self.parts[topic]])
+    def parts(self) -> dict[str, dict[str, NDArray[Any]]]:
+        """Return the quantities of all messages, and their rows of the flight, by topic."""
+        return {
+            topic: {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+            for topic, parts in self._parts.items()
+        }
 
     def _keep(self, topic: str, rows: Rows, fields: Mapping[str, Any]) -> None:
         copied = {name: np.array(values) for name, values in {"rows": rows, **fields}.items()}
-        self.parts.setdefault(topic, []).append(copied)
-
-
-class _Rows(NamedTuple):
-    """The messages of a topic: a stamp [ns] and the bytes of each."""
-
-    stamp_ns: NDArray[np.int64]
-    messages: Sequence[bytes]
+        self._parts.setdefault(topic, []).append(copied)
 
 
 def write_loop_bag(record: BagRecord, directory: Path, attachments: Mapping[str, bytes]) -> dict[str, int]:
     """Write the bag; return its messages by topic. OSError if it cannot be written."""
     file = BagFile(directory, attachments, {"mode": "lockstep"}, "zstd", CHUNK)
-    messages: list[tuple[int, int, bytes]] = []
-    for channel, (topic, rows) in enumerate(_topics(record), 1):
-        row = TOPICS[topic]
-        interface = load_interface(row.type_name)
-        file.add_topic(TopicRecord(f"/{topic}", row.type_name, interface.type_hash, "", interface.text))
-        stamps = rows.stamp_ns.tolist()
-        messages += ((at, channel, data) for at, data in zip(stamps, rows.messages, strict=True))
-    for stamp_ns, channel, data in sorted(messages, key=itemgetter(0, 1)):
-        file.write(channel, stamp_ns, stamp_ns, data)
+    messages: list[Message] = []
+    for channel, (topic, stamps, data) in enumerate(_topics(record), 1):
+        add_topic(file, topic)
+        messages += zip(stamps.tolist(), itertools.repeat(channel), data, strict=False)
+    write_messages(file, messages)
     file.close()
     return dict(file.counts)
 
 
-def _topics(record: BagRecord) -> Iterator[tuple[str, _Rows]]:
+def add_topic(file: BagFile, topic: str) -> None:
+    """Declare a topic of the table."""
+    name, kind = f"/{topic.lstrip('/')}", TOPICS[topic].type_name
+    interface = load_interface(kind)
+    file.add_topic(TopicRecord(name, kind, interface.type_hash, "", interface.text))
+
+
+def write_messages(file: BagFile, messages: Iterable[Message]) -> None:
+    """Write messages in the order of their stamps, those of one stamp in that of their channels."""
+    for stamp_ns, channel, data in sorted(messages, key=itemgetter(0, 1)):
+        file.write(channel, stamp_ns, stamp_ns, data)
+
+
+def encoded(topic: str, stamp_ns: NDArray[np.int64], fields: Mapping[str, Any]) -> list[bytes]:
+    """Return the messages of a topic of the table, by their stamps (n,) [ns] and fields."""
+    row = TOPICS[topic]
+    types = get_types_from_msg(load_interface(row.type_name).text, row.type_name)
+    given = {"stamp_ns": stamp_ns[:, None], "frame_id": row.frame, "child_frame_id": BASE_FRAME, **fields}
+    return encode_topic(types, row.type_name, given, len(stamp_ns))
+
+
+def imu_fields(sample: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the fields of IMU messages by the columns of their samples."""
+    return {
+        "orientation_xyzw": sample["q_xyzw"],
+        "angular_velocity": sample["body_rate"],
+        "linear_acceleration": sample["specific_force"],
+        "orientation_covariance": _covariance(np.logical_not(sample["attitude_valid"])),
+        "angular_velocity_covariance": _covariance(np.logical_not(sample["rate_valid"])),
+        "linear_acceleration_covariance": _covariance(np.logical_not(sample["force_valid"])),
+    }
+
+
+def _covariance(absent: NDArray[np.bool_], size: int = 9) -> NDArray[Any]:
+    """Return covariances (n, size) that are unknown, or say that what they are of is absent."""
+    values = np.zeros((len(absent), size))
+    values[:, 0 if size == 9 else 21] = np.where(absent, ABSENT, 0.0)
+    return values
+
+
+def _topics(record: BagRecord) -> Iterator[tuple[str, NDArray[np.int64], list[bytes]]]:
+    """Yield the name of each topic, and stamps [ns] and bytes of its messages."""
     flight = record.flight()
-    for topic, fields in _sensed(record):
-        yield topic, _encoded(topic, flight.stamp_ns[record.column(topic, "rows")], fields)
+    given: Mapping[str, Any]
+    parts = record.parts()
+    for topic, given in _sensed(parts):
+        stamps = flight.stamp_ns[parts[topic]["rows"]]
+        yield topic, stamps, encoded(topic, stamps, given)
     dropped = flight.stamp_ns[~flight.delivered]
     if len(dropped):
-        yield "fault/dropped", _encoded("fault/dropped", dropped, {})
+        yield "fault/dropped", dropped, encoded("fault/dropped", dropped, {})
     for topic, fields in columns_by_topic(flight).items():
         known = np.any([_is_known(column) for column in fields.values()], axis=0)
         if topic != DIAGNOSIS and known.any():
             completed = _completed(topic, flight, fields).items()
-            given: dict[str, Any] = {
-                name: each if name == "name" else each[known] for name, each in completed
-            }
-            yield topic, _encoded(topic, flight.stamp_ns[known], given)
+            given = {name: each if name == "name" else each[known] for name, each in completed}
+            yield topic, flight.stamp_ns[known], encoded(topic, flight.stamp_ns[known], given)
     if record.reports:
         write = DiagnosisWire()
         stamps = np.array([report.stamp_ns for report in record.reports], np.int64)
-        yield DIAGNOSIS, _Rows(stamps, [write(report) for report in record.reports])
+        yield DIAGNOSIS, stamps, [write(report) for report in record.reports]
 
 
 def _is_known(column: NDArray[Any]) -> NDArray[np.bool_]:
@@ -130,34 +167,15 @@ def _completed(topic: str, flight: Flight, fields: Mapping[str, Any]) -> dict[st
     return given
 
 
-def _sensed(record: BagRecord) -> Iterator[tuple[str, dict[str, Any]]]:
+def _sensed(parts: Mapping[str, dict[str, NDArray[Any]]]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield what sensors measured and the rotors were told, by topic and field."""
-
-    def imu(name: str) -> NDArray[Any]:
-        return record.column("imu/data", name)
-
-    def covariance(*absent: NDArray[np.bool_], size: int = 9) -> NDArray[Any]:
-        values = np.zeros((len(absent[0]), size))
-        values[:, 0 if size == 9 else 21] = np.where(absent[0], ABSENT, 0.0)
-        return values
-
-    yield (
-        "imu/data",
-        {
-            "orientation_xyzw": imu("q_xyzw"),
-            "angular_velocity": imu("body_rate"),
-            "linear_acceleration": imu("specific_force"),
-            "orientation_covariance": covariance(~imu("attitude_valid")),
-            "angular_velocity_covariance": covariance(~imu("rate_valid")),
-            "linear_acceleration_covariance": covariance(~imu("force_valid")),
-        },
-    )
-    if "rotors/command" in record.parts:
-        yield "rotors/command", _named_rotors({"velocity": record.column("rotors/command", "velocity")})
-    if "position/data" in record.parts:
-        place, velocity = (record.column("position/data", name) for name in ("position", "velocity"))
-        unknown = covariance(np.ones(len(place), np.bool_), size=36)  # attitude and body rate
-        fields = {"pose.pose.position": place, "twist.twist.linear": velocity}
+    yield "imu/data", imu_fields(parts["imu/data"])
+    if "rotors/command" in parts:
+        yield "rotors/command", _named_rotors({"velocity": parts["rotors/command"]["velocity"]})
+    if "position/data" in parts:
+        place = parts["position/data"]["position"]
+        unknown = _covariance(np.ones(len(place), np.bool_), size=36)  # attitude and body rate
+        fields = {"pose.pose.position": place, "twist.twist.linear": parts["position/data"]["velocity"]}
         fields |= {"pose.covariance": unknown, "twist.covariance": unknown}
         yield "position/data", fields | {"child_frame_id": EARTH_FRAME}
 
@@ -166,10 +184,3 @@ def _named_rotors(fields: dict[str, Any]) -> dict[str, Any]:
     """Add the names of the rotors to their speeds."""
     count = fields["velocity"].shape[1]
     return fields | {"name": [f"rotor_{number}" for number in range(1, count + 1)]}
-
-
-def _encoded(topic: str, stamp_ns: NDArray[np.int64], fields: Mapping[str, Any]) -> _Rows:
-    row = TOPICS[topic]
-    types = get_types_from_msg(load_interface(row.type_name).text, row.type_name)
-    given = {"stamp_ns": stamp_ns[:, None], "frame_id": row.frame, "child_frame_id": BASE_FRAME, **fields}
-    return _Rows(stamp_ns, encode_topic(types, row.type_name, given, len(stamp_ns)))

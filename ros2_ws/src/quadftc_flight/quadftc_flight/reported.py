@@ -5,7 +5,7 @@ A report holds until the next one, at most to the end of its `REPORT_PERIOD_NS`:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -85,10 +85,12 @@ def note_reports(flight: Flight, reports: Sequence[DiagnosisReport]) -> None:
 def reports_from(series: Series) -> list[DiagnosisReport]:
     """Return the messages of the topic ``diagnosis``."""
     rows = zip(series.stamp_ns.tolist(), series["watched"], series["faults"], strict=True)
-    return [
-        DiagnosisReport(stamp_ns, tuple(watched), tuple(map(_fault_of, said)))
-        for stamp_ns, watched, said in rows
-    ]
+    return [report_of(*row) for row in rows]
+
+
+def report_of(stamp_ns: int, watched: Iterable[str], faults: Iterable[Any]) -> DiagnosisReport:
+    """Return a report by the fields of its message."""
+    return DiagnosisReport(stamp_ns, tuple(watched), tuple(map(_fault_of, faults)))
 
 
 def _fault_of(message: Any) -> ComponentFault:

@@ -4,16 +4,11 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from quadftc_sim.ardupilot import ArduPilotPhysics
-from quadftc_sim.injector import FaultInjector
-from quadftc_sim.simulator import Simulator
 from quadftc_sitl.autopilot import Autopilot, Start
 from quadftc_sitl.firmware import LOOPBACK, PARAMETERS, free_port
-from quadftc_sitl.link import MavlinkLink
 from quadftc_sitl.physics import PhysicsSocket
 from quadftc_sitl.pilot import Pilot
 from quadftc_sitl.plan import SitlPlan
@@ -42,7 +37,9 @@ class ArduPilot(Autopilot):
     """ArduCopter."""
 
     name, title = "ardupilot", "ArduPilot"
-    sensors: Any = {"mag.rate": 0.0, "baro.rate": 0.0}
+    sensors = {"mag.rate": 0.0, "baro.rate": 0.0}
+    server, physics, pilot = PhysicsSocket, ArduPilotPhysics, Pilot
+    logs = "logs/*.BIN"
 
     def rate(self, plan: SitlPlan) -> float:
         """Return the rate [Hz] of physics and IMU: twice its loop, or the scenario's if that is higher."""
@@ -51,10 +48,6 @@ class ArduPilot(Autopilot):
     def parameters(self, plan: SitlPlan) -> dict[str, float]:
         """Return what a quadrotor of our physics needs."""
         return {**MINE, "SIM_RATE_HZ": self.rate(plan)}
-
-    def server(self, port: int) -> PhysicsSocket:
-        """Open a UDP socket."""
-        return PhysicsSocket(port)
 
     def start(self, binary: Path, folder: Path, physics_port: int, mavlink_port: int) -> Start:
         """Return how it is started with our physics, its first serial port ours.
@@ -76,20 +69,3 @@ class ArduPilot(Autopilot):
                 *("--defaults", PARAMETERS, "--home", home),
             ]
         )
-
-    def physics(
-        self,
-        make_simulator: Callable[[float], Simulator],
-        make_injector: Callable[[], FaultInjector],
-        rate: float,
-    ) -> ArduPilotPhysics:
-        """Return the physics behind its JSON packets."""
-        return ArduPilotPhysics(make_simulator, make_injector, rate)
-
-    def pilot(self, plan: SitlPlan, link: MavlinkLink, begin: Callable[[], None]) -> Pilot:
-        """Return an operator who flies it in GUIDED or AUTO."""
-        return Pilot(plan, link, begin)
-
-    def log(self, folder: Path) -> Path | None:
-        """Return its last .BIN log."""
-        return max((folder / "logs").glob("*.BIN"), default=None)

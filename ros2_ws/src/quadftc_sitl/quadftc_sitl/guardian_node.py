@@ -19,9 +19,8 @@ from typing import Any
 from pydantic import ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from quadftc_flight.reported import report_of
 from quadftc_model.parameters import parameter
-from quadftc_model.samples import ComponentFault, DiagnosisReport
-from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
@@ -92,7 +91,7 @@ class GuardianNode(GraphNode):
         if not self._commander.journal.flies:
             return
         known = len(self._guardian.decisions)
-        report = report_of(stamp_ns, message)
+        report = report_of(stamp_ns, message.watched, message.faults)
         decision = self._guardian.step(report, self._commander.journal.mode_name)
         for each in self._guardian.decisions[known:]:
             self.get_logger().warning(each.words)
@@ -110,26 +109,6 @@ def guard_of(actions: list[str], after: float, ambiguous: bool) -> Guard:
     except ValidationError as error:
         first = error.errors()[0]
         raise ValueError(f"actions: {first['msg'].removeprefix('Value error, ')}") from None
-
-
-def report_of(stamp_ns: int, message: Any) -> DiagnosisReport:
-    """Return a message of the topic ``diagnosis`` as data."""
-    faults = [
-        ComponentFault(
-            component=each.component,
-            element=each.element,
-            kind=each.kind,
-            state=each.state,
-            size=each.size,
-            std_dev=each.std_dev,
-            unit=each.unit,
-            probability=each.probability,
-            ambiguous_with=tuple(each.ambiguous_with),
-            onset_ns=each.onset.sec * NANOSECONDS + each.onset.nanosec,
-        )
-        for each in message.faults
-    ]
-    return DiagnosisReport(stamp_ns, tuple(message.watched), tuple(faults))
 
 
 main = partial(run_node, GuardianNode)

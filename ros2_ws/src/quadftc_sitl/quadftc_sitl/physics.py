@@ -31,7 +31,8 @@ from quadftc_model.samples import (
 from quadftc_sim.assembly import EPOCH_NS, simulator_from
 from quadftc_sim.autopilot import Shown
 from quadftc_sim.simulator import Simulator
-from quadftc_sitl.firmware import LOOPBACK, Firmware, SitlError
+from quadftc_sitl.autopilot import Server
+from quadftc_sitl.firmware import Firmware, SitlError
 from quadftc_sitl.plan import SitlPlan
 from quadftc_sitl.recording import Recorder
 from quadftc_sitl.truth import NotedInjector, shifted
@@ -159,26 +160,17 @@ class Fate:
         return bool(self.words)
 
 
-class PhysicsSocket:
-    """Where the firmware's packets come in, on loopback; who else sends there is not answered."""
+class PhysicsSocket(Server):
+    """A UDP socket, whose peer is who speaks first."""
 
-    def __init__(self, port: int = 0) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind((LOOPBACK, port))
-        except OSError as error:
-            self._socket.close()
-            raise SitlError(f"UDP port {port}: {error.strerror}") from None
+    KIND = socket.SOCK_DGRAM
+
+    def __init__(self) -> None:
+        super().__init__()
         self._socket.setblocking(False)
-        self.port = int(self._socket.getsockname()[1])
         self._peer: Any = None
-        self.strangers = 0  # packets from elsewhere
 
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-    def wait(self, firmware: Firmware, spoke: float = 0.0) -> list[bytes]:
+    def wait(self, firmware: Firmware, spoke: float) -> list[bytes]:
         """Return the packets that have come; `SitlError` if the firmware has ended or hangs."""
         for _ in range(int(PATIENCE / LOOK)):
             if packets := self.take(LOOK):

@@ -5,20 +5,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.barometer import BAROMETER_GRADES
-from quadftc_sim.injector import FaultInjector
 from quadftc_sim.magnetometer import MAGNETOMETER_GRADES
 from quadftc_sim.position_sensor import POSITION_GRADES
-from quadftc_sim.simulator import Simulator
 from quadftc_sitl.autopilot import Autopilot, Start
 from quadftc_sitl.firmware import LOOPBACK, PARAMETERS, SitlError, free_port
-from quadftc_sitl.link import MavlinkLink
-from quadftc_sitl.pilot import Pilot
 from quadftc_sitl.plan import SitlPlan
 from quadftc_sitl.px4_packets import HOME, PX4Physics, PX4Server
 from quadftc_sitl.px4_pilot import PX4Pilot
@@ -41,7 +36,9 @@ class PX4(Autopilot):
 
     name, title = "px4", "PX4"
     takes_failures = True
-    sensors: Any = {
+    server, physics, pilot = PX4Server, PX4Physics, PX4Pilot
+    logs = "log/*/*.ulg"
+    sensors = {
         "position_sensor": True,
         **{f"position.{name}": value for name, value in POSITION_GRADES["gps"].items()},
         "position.wander": (0.0, 0.0, 0.0),  # none, so that setpoints are places
@@ -72,10 +69,6 @@ class PX4(Autopilot):
             "MAV_SYS_ID": 1.0,
         }
 
-    def server(self, port: int) -> PX4Server:
-        """Open a TCP socket."""
-        return PX4Server(port)
-
     def start(self, binary: Path, folder: Path, physics_port: int, mavlink_port: int) -> Start:
         """Return how its own start script is run; the port of the physics tells the instance's number."""
         root = binary.parent.parent / SCRIPT.parts[0]
@@ -94,23 +87,6 @@ class PX4(Autopilot):
         for name in LEFT:
             with contextlib.suppress(OSError):
                 Path(name.format(instance)).unlink()
-
-    def physics(
-        self,
-        make_simulator: Callable[[float], Simulator],
-        make_injector: Callable[[], FaultInjector],
-        rate: float,
-    ) -> PX4Physics:
-        """Return the physics behind its simulator API."""
-        return PX4Physics(make_simulator, make_injector, rate)
-
-    def pilot(self, plan: SitlPlan, link: MavlinkLink, begin: Callable[[], None]) -> Pilot:
-        """Return an operator who flies it in OFFBOARD or MISSION."""
-        return PX4Pilot(plan, link, begin)
-
-    def log(self, folder: Path) -> Path | None:
-        """Return its last ULog."""
-        return max((folder / "log").glob("*/*.ulg"), default=None)
 
 
 def rotor_parameters(vehicle: Vehicle) -> dict[str, float]:

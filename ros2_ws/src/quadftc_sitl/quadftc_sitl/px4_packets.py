@@ -24,7 +24,8 @@ from quadftc_sim.autopilot import AutopilotPhysics, speeds_of_shares, to_frd, to
 from quadftc_sim.barometer import pressure_height, standard_pressure
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.simulator import Emission, Simulator
-from quadftc_sitl.firmware import LOOPBACK, Firmware, SitlError
+from quadftc_sitl.autopilot import Server
+from quadftc_sitl.firmware import Firmware, SitlError
 
 HOME = (47.397742, 8.545594, 488.0)  # latitude, longitude [deg], height [m]; PX4's usual field, in Zurich
 DEGREE = 111318.84502145034  # m of latitude
@@ -128,18 +129,14 @@ def course(velocity: Any) -> float:
     return math.degrees(math.atan2(velocity[1], velocity[0])) % 360.0
 
 
-class PX4Server:
-    """Where PX4 connects, on loopback; one connection alone is answered."""
+class PX4Server(Server):
+    """Where PX4 connects; one connection alone is answered."""
 
-    def __init__(self, port: int = 0) -> None:
-        self._listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        try:
-            self._listening.bind((LOOPBACK, port))
-        except OSError as error:
-            self._listening.close()
-            raise SitlError(f"TCP port {port}: {error.strerror}") from None
-        self._listening.listen(1)
-        self.port = int(self._listening.getsockname()[1])
+    KIND = socket.SOCK_STREAM
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._socket.listen(1)
         self._peer: socket.socket | None = None
         self._mavlink = dialect.MAVLink(None)
         self._mavlink.robust_parsing = True
@@ -147,11 +144,10 @@ class PX4Server:
         self._patience = UNANSWERED
         self._answers = False  # the last sample was answered
         self._looked = 0.0  # when it was looked whether the firmware lives [s]
-        self.strangers = 0  # packets from elsewhere
 
     def close(self) -> None:
         """Close the sockets."""
-        self._listening.close()
+        super().close()
         if self._peer is not None:
             self._peer.close()
 
@@ -201,8 +197,8 @@ class PX4Server:
 
     def _connect(self, firmware: Firmware) -> None:
         for _ in range(int(TO_CONNECT / LOOK)):
-            if select.select([self._listening], [], [], LOOK)[0]:
-                self._peer, _ = self._listening.accept()
+            if select.select([self._socket], [], [], LOOK)[0]:
+                self._peer, _ = self._socket.accept()
                 self._peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._looked = time.monotonic()
                 return

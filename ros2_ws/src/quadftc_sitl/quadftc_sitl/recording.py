@@ -5,33 +5,23 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.typesys import get_types_from_msg
 
 from quadftc_bags.bag_file import BagFile
-from quadftc_bags.bag_format import TopicRecord
-from quadftc_bags.cdr.arrays import encode_topic
 from quadftc_bags.cdr.writer import MessageWriter
-from quadftc_bags.interfaces import load_interface
-from quadftc_model.samples import ABSENT, DiagnosisReport
+from quadftc_flight.loop_bag import CHUNK, Message, add_topic, encoded, imu_fields, write_messages
+from quadftc_model.samples import DiagnosisReport
 from quadftc_ros.diagnosis_wire import DiagnosisWire
-from quadftc_ros.topics import BASE_FRAME, TOPICS
 from quadftc_sim.autopilot import Shown
 from quadftc_sim.injection import TRUTH
 from quadftc_sim.rotor_fault import ROTOR
 
 ROWS = 4000  # samples kept
-CHUNK = 1024 * 1024  # bytes
-IMU_FIELDS = (  # field of the message, whether it is there, and field of an `ImuSample`
-    ("orientation_xyzw", "attitude_valid", "q_xyzw"),
-    ("angular_velocity", "rate_valid", "body_rate"),
-    ("linear_acceleration", "force_valid", "specific_force"),
-)
 DIAGNOSTICS = "/diagnostics"
 WARNS = 1  # diagnostic_msgs/DiagnosticStatus.WARN
 RECORDED = ("imu/data", "rotors/command", "rotors/speed", "plant/odometry", "diagnosis", DIAGNOSTICS)
@@ -45,17 +35,13 @@ class Recorder:
         self.problem = ""  # why the recording has ended; empty: it has not
         self._file = BagFile(directory, attachments, {"mode": "lockstep"}, "zstd", CHUNK)
         self._rows: dict[str, dict[str, list[Any]]] = {}
-        self._messages: list[tuple[int, int, bytes]] = []
+        self._messages: list[Message] = []
         self._write_report = DiagnosisWire()
         self._truth = {channel: topic for channel, topic in TRUTH.items() if channel in channels}
         topics = [*RECORDED, *self._truth.values(), *(["rotors/fault"] if ROTOR in channels else [])]
         self._channels = {topic: number for number, topic in enumerate(topics, 1)}
         for topic in topics:
-            row = TOPICS[topic]
-            interface = load_interface(row.type_name)
-            self._file.add_topic(
-                TopicRecord(f"/{topic.lstrip('/')}", row.type_name, interface.type_hash, "", interface.text)
-            )
+            add_topic(self._file, topic)
 
     def note(self, shown: Shown, commanded_ns: int | None) -> None:
         """Note a sample; the command that flew it here was given at a stamp [ns]."""
@@ -125,15 +111,13 @@ class Recorder:
         if self.problem:
             return
         for topic, columns in rows.items():
-            stamps = columns["stamp_ns"]
-            channel = self._channels[topic]
-            messages += (
-                (at, channel, data) for at, data in zip(stamps, _encoded(topic, columns), strict=True)
-            )
+            fields = {name: np.array(values) for name, values in columns.items()}
+            stamps = fields.pop("stamp_ns")
+            data = encoded(topic, stamps, imu_fields(fields) if topic == "imu/data" else fields)
+            messages += zip(stamps.tolist(), itertools.repeat(self._channels[topic]), data, strict=False)
 
         def write() -> None:
-            for stamp_ns, channel, data in sorted(messages, key=itemgetter(0, 1)):
-                self._file.write(channel, stamp_ns, stamp_ns, data)
+            write_messages(self._file, messages)
             self._file.flush()
 
         self._try(write)
@@ -144,20 +128,3 @@ class Recorder:
         except OSError as error:
             self.problem = f"{self._file.path}: {error.strerror}"
             self._file.abandon()
-
-
-def _encoded(topic: str, columns: Mapping[str, list[Any]]) -> list[bytes]:
-    """Return the messages of a topic."""
-    row = TOPICS[topic]
-    types = get_types_from_msg(load_interface(row.type_name).text, row.type_name)
-    count = len(columns["stamp_ns"])
-    fields: dict[str, Any] = {name: np.array(values) for name, values in columns.items()}
-    if topic == "imu/data":
-        for name, there, ours in IMU_FIELDS:
-            covariance = np.zeros((count, 9))
-            covariance[~fields[there].astype(bool), 0] = ABSENT
-            fields[f"{name.removesuffix('_xyzw')}_covariance"] = covariance
-            fields[name] = fields.pop(ours)
-    given = {**fields, "stamp_ns": fields["stamp_ns"][:, None]}
-    given |= {"frame_id": row.frame, "child_frame_id": BASE_FRAME}
-    return encode_topic(types, row.type_name, given, count)

@@ -51,7 +51,6 @@ def fly_sitl(
     binary: Path,
     out: Path,
     parameters: Mapping[str, float] | None = None,
-    physics_port: int = 0,
     engine: str = "c",
     live: Live | None = None,
 ) -> dict[str, Any]:
@@ -74,7 +73,7 @@ def fly_sitl(
     channels = scheduled if live is None else CHANNEL_UNITS
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(MavlinkLink()))
-        server = stack.enter_context(contextlib.closing(autopilot.server(physics_port)))
+        server = stack.enter_context(contextlib.closing(autopilot.server()))
         beginning = autopilot.start(binary, out, server.port, link.port)
         stack.callback(autopilot.tidy, beginning)
         attachments = {SCENARIO: text.encode()}
