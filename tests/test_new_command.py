@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 from xml.etree import ElementTree as ET
@@ -10,7 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from quadftc_cli.new_package import KINDS, write_package
+from quadftc_cli.new_package import KINDS, PACKAGE, write_package
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.samples import AttitudeReference, ControllerInputs, FaultObserverInputs, level_sample
@@ -37,9 +38,12 @@ def made(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_placeholder_is_left(kind, tmp_path):
+def test_no_name_of_the_example_is_left(kind, tmp_path):
     written = write_package(kind, f"brand_new_{kind}", tmp_path)
-    assert not [file for file in written if "@A_" in file.read_text() or "@NAME" in file.read_text()]
+    names = re.compile(rf"{PACKAGE}|\b({KINDS['observer'].named}|{KINDS[kind].named})", re.IGNORECASE)
+    assert [file for file in written if names.search(file.read_text())] == []
+    about = ET.parse(tmp_path / f"brand_new_{kind}" / "package.xml").findtext("description")
+    assert about == f"{KINDS[kind].what} for quadftc in a package of its own."
 
 
 def test_observer_names_a_step_of_the_attitude(made):
@@ -80,8 +84,6 @@ def test_package_registers_its_law_by_an_entry_point(tmp_path, kind):
     subprocess.run(command, cwd=tmp_path / "my_part", check=True, capture_output=True)
     entry = (tmp_path / "my_part.egg-info" / "entry_points.txt").read_text(encoding="utf-8")
     assert entry == f"[{KINDS[kind].group}]\nmy_part = my_part.my_part:MyPart\n"
-    left = [file for file in (tmp_path / "my_part").rglob("*") if file.is_file() and "@" in file.read_text()]
-    assert [file.name for file in left if "@NAME@" in file.read_text()] == []
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ PACKAGE = "own_observer"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Example: a fault observer for quadftc in a package of its own.",
+    description="A fault observer for quadftc in a package of its own.",
     license="Apache-2.0",
     maintainer="you",
     maintainer_email="you@example.com",
@@ -18,6 +18,6 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=True,
-    # The name on the left is what scenario files and --observer say.
+    # The name on the left is what scenario files and the command line say.
     entry_points={"quadftc.fault_observers": ["washout = own_observer.washout:Washout"]},
 )

@@ -21,4 +21,4 @@ def new(
     written = write_package(kind, name, out)
     say(*(str(file) for file in written))
     say(f"build it: colcon build --packages-select {name} && . install/setup.bash")
-    say(f"fly it:   {KINDS[kind].trial.replace('@NAME@', name)}")
+    say(f"fly it:   {KINDS[kind].trial.format(name)}")
