@@ -11,7 +11,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from quadftc_bags.cdr.message import FieldReader, FieldWriter, NumberWriter, read_message
+from quadftc_bags.cdr.message import FieldReader, FieldWriter, read_message
 from quadftc_model.samples import ABSENT, PositionSample
 from quadftc_ros.conversions import Floats
 from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME
@@ -29,7 +29,7 @@ class PoseWire:
     """Makes serialised poses in the earth frame."""
 
     def __init__(self) -> None:
-        self._write = NumberWriter(PoseStamped(header=Header(frame_id=EARTH_FRAME)))
+        self._write = FieldWriter(PoseStamped(header=Header(frame_id=EARTH_FRAME)))
 
     def __call__(self, stamp_ns: int, position: Floats, q_xyzw: Floats) -> bytes:
         """Return the message of a position (3,) [m] and an attitude (4,)."""

@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from sensor_msgs.msg import FluidPressure, Imu, MagneticField
 from std_msgs.msg import Header
 
-from quadftc_bags.cdr.message import NANOSECONDS, NumberWriter, read_message, read_numbers
+from quadftc_bags.cdr.message import NANOSECONDS, FieldWriter, read_message, read_numbers
 from quadftc_model.samples import (
     ABSENT,
     AttitudeCommand,
@@ -91,7 +91,7 @@ class VectorWire:
     """Makes serialised stamped vectors in a frame."""
 
     def __init__(self, frame: str) -> None:
-        self._write = NumberWriter(Vector3Stamped(header=Header(frame_id=frame)))
+        self._write = FieldWriter(Vector3Stamped(header=Header(frame_id=frame)))
 
     def __call__(self, stamp_ns: int, array: Floats) -> bytes:
         """Return the message of an array (3,)."""
@@ -105,7 +105,7 @@ class ImuWire:
     """
 
     def __init__(self, frame: str = IMU_FRAME) -> None:
-        self._write = NumberWriter(Imu(header=Header(frame_id=frame)))
+        self._write = FieldWriter(Imu(header=Header(frame_id=frame)))
 
     def __call__(self, stamp_ns: int, sample: ImuSample, variance: Floats | None = None) -> bytes:
         """Return the message of a sample of one vehicle; ``variance`` (3,) of the attitude [rad²]."""
@@ -126,7 +126,7 @@ class FieldWire:
     def __init__(self, frame: str, std_dev: float) -> None:
         v = std_dev**2
         self._covariance = (v, 0.0, 0.0, 0.0, v, 0.0, 0.0, 0.0, v)
-        self._write = NumberWriter(MagneticField(header=Header(frame_id=frame)))
+        self._write = FieldWriter(MagneticField(header=Header(frame_id=frame)))
 
     def __call__(self, stamp_ns: int, field: Floats) -> bytes:
         """Return the message of a field (3,) [T] in body axes."""
@@ -138,7 +138,7 @@ class PressureWire:
 
     def __init__(self, frame: str, std_dev: float) -> None:
         self._variance = std_dev**2
-        self._write = NumberWriter(FluidPressure(header=Header(frame_id=frame)))
+        self._write = FieldWriter(FluidPressure(header=Header(frame_id=frame)))
 
     def __call__(self, stamp_ns: int, pressure: float) -> bytes:
         """Return the message of a pressure [Pa]."""
@@ -149,7 +149,7 @@ class ReferenceWire:
     """Makes serialised references."""
 
     def __init__(self) -> None:
-        self._write = NumberWriter(AttitudeReferenceMessage(header=Header(frame_id=EARTH_FRAME)))
+        self._write = FieldWriter(AttitudeReferenceMessage(header=Header(frame_id=EARTH_FRAME)))
 
     def __call__(self, stamp_ns: int, reference: AttitudeReference, thrust: float = -1.0) -> bytes:
         """Return the message of a reference of one vehicle, and of a thrust [N]; -1: none is commanded."""
@@ -161,7 +161,7 @@ class FaultStatusWire:
     """Makes serialised status messages of the diagnosis."""
 
     def __init__(self, frame: str = IMU_FRAME) -> None:
-        self._write = NumberWriter(FaultStatus(header=Header(frame_id=frame)))
+        self._write = FieldWriter(FaultStatus(header=Header(frame_id=frame)))
 
     def __call__(self, stamp_ns: int, estimate: FaultEstimate) -> bytes:
         """Return the message of an estimate of one vehicle."""
@@ -176,7 +176,7 @@ class ControlStatusWire:
     """Makes serialised status messages of the control."""
 
     def __init__(self, frame: str = BASE_FRAME) -> None:
-        self._write = NumberWriter(ControlStatus(header=Header(frame_id=frame)))
+        self._write = FieldWriter(ControlStatus(header=Header(frame_id=frame)))
 
     def __call__(
         self, stamp_ns: int, output: ControllerOutput, mode: int, restarts: int, compute_time: float

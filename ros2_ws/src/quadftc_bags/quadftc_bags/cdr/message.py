@@ -17,9 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from quadftc_bags.cdr import layout
 from quadftc_bags.cdr.layout import FRAME, FRAME_LENGTH, NANOSECONDS, PLAIN, STAMP
 
-_LENGTHS = struct.Struct(">I"), struct.Struct("<I")  # of frame_id, by byte order
 _STAMPS = struct.Struct(">iI"), struct.Struct("<iI")  # by byte order
-_ROOM = bytes(4096)  # more than the numbers of a message take
 
 
 def leading_stamp_ns(data: bytes) -> int:
@@ -49,20 +47,20 @@ def read_message(data: bytes, message_class: type) -> Any:
 
 def read_numbers(data: bytes, message_class: type) -> tuple[Any, ...]:
     """Return the numbers of a message that is a header and numbers of fixed count, else a ValueError."""
-    if data[:2] not in PLAIN:
-        data = serialize_message(read_message(data, message_class))
-    try:
-        (length,) = _LENGTHS[data[1]].unpack_from(data, FRAME_LENGTH)
-        start, body = _find_body(message_class, data[1], length & 7)
-        return body.unpack_from(data, start + (length & ~7))
-    except struct.error:
-        raise ValueError(f"not a {message_class.__name__}: {len(data)} bytes") from None
+    return _number_reader(message_class, data[1:2] + data[FRAME_LENGTH:FRAME])(data)[1]
+
+
+@cache
+def _number_reader(message_class: type, _: bytes) -> FieldReader:
+    """Return a reader of all numbers, for a byte order and a length of the frame's name."""
+    return FieldReader(message_class)
 
 
 class FieldReader:
     """Read some numeric fields of messages whose texts and lengths seldom change.
 
-    ``fields`` are named as in `quadftc_bags.cdr.arrays`, in the order of the definition.
+    ``fields`` are named as in `quadftc_bags.cdr.arrays`, in the order of the definition; none: all behind the
+    header.
     """
 
     def __init__(self, message_class: type, *fields: str) -> None:
@@ -85,7 +83,7 @@ class FieldReader:
 
     def _learn(self, data: bytes) -> None:
         found = layout.find_layout(self._leaves, data)
-        places = [place for place in found.places if place.leaf.name in self._fields] if found else []
+        places = _chosen(found, self._fields) if found else []
         if found is None or not places:
             raise ValueError(f"not a {self._class.__name__}: {len(data)} bytes")
         self._layout = found
@@ -96,8 +94,8 @@ class FieldReader:
 class FieldWriter:
     """Write messages of which only the stamp and some numeric fields change.
 
-    ``message`` gives the rest; ``fields`` are named as in `quadftc_bags.cdr.arrays`, in the order of the
-    definition, with the lengths that they have in ``message``.
+    ``message`` gives the rest; ``fields`` are as of a `FieldReader`, with the lengths that they have in
+    ``message``.
     """
 
     def __init__(self, message: Any, *fields: str) -> None:
@@ -105,16 +103,16 @@ class FieldWriter:
         clean = layout.PaddingCleaner(type_name).clean(serialize_message(message))
         found = layout.find_layout(layout.installed_leaves(type_name), clean)
         assert found is not None
+        chosen = _chosen(found, fields)
         self._data = data = bytearray(clean)
         self._set_stamp = partial(struct.Struct(f"{layout.byte_order(clean)}iI").pack_into, data, STAMP)
         self._runs: list[tuple[Callable[..., None], slice]] = []
         first = 0
-        for place in found.places:
-            if place.leaf.name in fields:
-                start, run = _struct_of([place], clean)
-                last = first + place.number * place.leaf.width
-                self._runs.append((partial(run.pack_into, data, start), slice(first, last)))
-                first = last
+        for places in [[place] for place in chosen] if fields else [chosen]:
+            start, run = _struct_of(places, clean)
+            last = first + sum(place.number * place.leaf.width for place in places)
+            self._runs.append((partial(run.pack_into, data, start), slice(first, last)))
+            first = last
 
     def __call__(self, stamp_ns: int, *numbers: float) -> bytes:
         """Return the message of a stamp [ns] and the numbers of the fields."""
@@ -124,42 +122,13 @@ class FieldWriter:
         return bytes(self._data)
 
 
-class NumberWriter:
-    """Write messages that are a header and then numbers of fixed count.
-
-    ``message`` gives type and frame; its numbers do not matter.
-    """
-
-    def __init__(self, message: Any) -> None:
-        clean = layout.PaddingCleaner(_type_name(type(message))).clean(serialize_message(message))
-        self._data = data = bytearray(clean)
-        start, body = _find_numbers(type(message), clean)
-        self._set_stamp = partial(struct.Struct(f"{layout.byte_order(clean)}iI").pack_into, data, STAMP)
-        self._set_numbers = partial(body.pack_into, data, start)
-
-    def __call__(self, stamp_ns: int, *numbers: float) -> bytes:
-        """Return the message of a stamp [ns] and numbers, in the order of the type's definition."""
-        self._set_stamp(*divmod(stamp_ns, NANOSECONDS))
-        self._set_numbers(*numbers)
-        return bytes(self._data)
-
-
 def _type_name(message_class: type) -> str:
     return f"{message_class.__module__.partition('.')[0]}/msg/{message_class.__name__}"
 
 
-@cache
-def _find_body(message_class: type, little: int, length: int) -> tuple[int, struct.Struct]:
-    """Find the numbers for a byte order and a length of frame_id below 8, the largest alignment."""
-    sample = bytes([0, little, *bytes(10)]) + _LENGTHS[little].pack(length) + _ROOM
-    return _find_numbers(message_class, sample)
-
-
-def _find_numbers(message_class: type, data: bytes) -> tuple[int, struct.Struct]:
-    """Return where the numbers behind the header begin, and what packs them; padding is zero."""
-    found = layout.find_layout(layout.installed_leaves(_type_name(message_class)), data)
-    assert found is not None
-    return _struct_of(found.places[2:], data)  # behind stamp and frame_id
+def _chosen(found: layout.Layout, fields: Sequence[str]) -> Sequence[layout.Place]:
+    """Return the places of some fields; of none: all behind stamp and frame."""
+    return [place for place in found.places if place.leaf.name in fields] if fields else found.places[2:]
 
 
 def _struct_of(places: Sequence[layout.Place], data: bytes) -> tuple[int, struct.Struct]:
