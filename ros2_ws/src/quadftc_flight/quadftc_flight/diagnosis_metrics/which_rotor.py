@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_flight.diagnosis_metrics.columns import largest, mean, median, number
-from quadftc_flight.diagnosis_metrics.which_sensor import GRACE_TIME, JudgedSensors
+from quadftc_flight.diagnosis_metrics.columns import largest, mean, median
+from quadftc_flight.diagnosis_metrics.which_sensor import GRACE_TIME, JudgedSensors, Record, summed_up
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_model.arrays import Array, namespace
@@ -23,8 +23,6 @@ SIZE_TIME = 1.0  # s; after the onset, from when on the estimated effectiveness 
 UNSIZED = ("stuck", "saturated")  # kinds of faults that leave the thrust at a given speed as it is
 TRUE = ("none", "sensor", "rotor")  # rows of the confusion matrix: what alone is faulty
 SAID = ("faulty_rotor", "healthy_rotor", "sensor", "none", "time")  # its columns: what is named
-
-Record = dict[str, Any]
 
 
 def name_rotors(state: Array, ambiguous: Array) -> Array:
@@ -56,6 +54,7 @@ def rotor_metrics(flight: Flight, events: Sequence[FaultEvent], of_sensors: Judg
     """Judge which rotor is named, ready for JSON; of one rotor, no event overlaps another."""
     judged = _JudgedRotors(flight, events, of_sensors)
     records = [judged.record(event) for event in events]
+    sizes = [each["size_error_mean"] for each in records if each["size_error_mean"] is not None]
     wrong = judged.named & judged.healthy
     before = np.concatenate([np.zeros_like(wrong[:1]), judged.named[:-1]])
     sensors = (of_sensors.faulty.any(axis=(1, 2)), of_sensors.naming.named.any(axis=(1, 2)))
@@ -65,7 +64,9 @@ def rotor_metrics(flight: Flight, events: Sequence[FaultEvent], of_sensors: Judg
     )
     seconds = samples[counted].sum(axis=0)
     return {
-        **rotor_naming_metrics(records),
+        **summed_up(records, "rotor_faults"),
+        "size_error_median": median(sizes),
+        "size_error_max": largest(sizes),
         "false_namings": int((wrong & ~before).sum()),
         "false_naming_time_s": of_sensors.seconds(wrong.sum()),
         "healthy_time_s": of_sensors.seconds(judged.healthy.sum()),
@@ -74,22 +75,6 @@ def rotor_metrics(flight: Flight, events: Sequence[FaultEvent], of_sensors: Judg
             for row, true in enumerate(TRUE)
         },
         "events": records,
-    }
-
-
-def rotor_naming_metrics(records: Sequence[Record]) -> dict[str, Any]:
-    """Sum up the records of rotor faults."""
-    judged = [record for record in records if record["named"] is not None]
-    delays = [record["naming_delay_s"] for record in judged if record["naming_delay_s"] is not None]
-    sizes = [record["size_error_mean"] for record in judged if record["size_error_mean"] is not None]
-    return {
-        "rotor_faults": len(judged),
-        "unnamed": sum(not record["named"] for record in judged),
-        "misnamed": sum((record["misnamed_share"] or 0.0) > 0.0 for record in judged),
-        "naming_delay_median_s": median(delays),
-        "naming_delay_max_s": largest(delays),
-        "size_error_median": median(sizes),
-        "size_error_max": largest(sizes),
     }
 
 
@@ -117,20 +102,14 @@ class _JudgedRotors:
         rotor, of_sensors = int(event.axis) - 1, self._sensors
         rows = of_sensors.rows(event.start, event.stop)
         settled = of_sensors.rows(event.start + SIZE_TIME, event.stop)
-        named = self.named[:, rotor]
         wrong = (self.named & self.healthy).any(axis=1) | (of_sensors.naming.named & of_sensors.healthy).any(
             axis=(1, 2)
         )
-        is_judged, already = rows.stop > rows.start, bool(named[: rows.start][-1:].any())
         error = self._size_error[settled if is_sized(event) else slice(0), rotor]
         return {
-            **event._asdict(),
-            "named": bool(named[rows].any()) if is_judged else None,
-            "already_named": already if is_judged else None,
-            "naming_delay_s": of_sensors.delay(named, rows, event.start) if not already else None,
-            "named_share": mean(named[rows]),
+            **of_sensors.naming_of(event, self.named[:, rotor]),
             "misnamed_share": mean(wrong[rows]),
             "size_error_mean": mean(error),
             "size_error_max": largest(error),
-            "position_error_max_m": number(np.max(self._distance[rows])) if is_judged else None,
+            "position_error_max_m": largest(self._distance[rows]),
         }

@@ -72,7 +72,7 @@ def sensor_metrics(
     named_before = np.concatenate([np.zeros_like(wrong[:1]), judged.naming.named[:-1]])
     samples = confusion(judged.faulty, judged.healthy, judged.naming).sum(axis=0)
     return {
-        **naming_metrics(records),
+        **_naming_metrics(records),
         "false_namings": _by_sensor((wrong & ~named_before).sum(axis=(0, 2)).tolist()),
         "false_naming_time_s": _by_sensor(map(judged.seconds, wrong.sum(axis=(0, 2)))),
         "healthy_time_s": _by_sensor(map(judged.seconds, judged.healthy.sum(axis=(0, 2)))),
@@ -87,22 +87,25 @@ def sensor_metrics(
     }
 
 
-def naming_metrics(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Sum up the records of faults; those that leave the reading as it is do not count."""
-    judged = [record for record in records if record["named"] is not None]
-    groups = {"all": judged, **{name: [r for r in judged if r["component"] == name] for name in SENSORS}}
-    delays = {
-        name: [r["naming_delay_s"] for r in members if r["naming_delay_s"] is not None]
-        for name, members in groups.items()
+def _naming_metrics(records: Sequence[Record]) -> dict[str, dict[str, Any]]:
+    """Sum up the records of faults, of all sensors and of each."""
+    groups = {"all": records} | {
+        name: [each for each in records if each["component"] == name] for name in SENSORS
     }
+    found = {name: summed_up(members, "sensor_faults") for name, members in groups.items()}
+    return {key: {name: figures[key] for name, figures in found.items()} for key in found["all"]}
+
+
+def summed_up(records: Sequence[Record], count: str) -> dict[str, Any]:
+    """Sum up the records of faults, their number as ``count``; those that change no reading do not count."""
+    judged = [record for record in records if record["named"] is not None]
+    delays = [record["naming_delay_s"] for record in judged if record["naming_delay_s"] is not None]
     return {
-        "sensor_faults": {name: len(members) for name, members in groups.items()},
-        "unnamed": {name: sum(not r["named"] for r in members) for name, members in groups.items()},
-        "misnamed": {
-            name: sum(r["misnamed_share"] > 0.0 for r in members) for name, members in groups.items()
-        },
-        "naming_delay_median_s": {name: median(values) for name, values in delays.items()},
-        "naming_delay_max_s": {name: largest(values) for name, values in delays.items()},
+        count: len(judged),
+        "unnamed": sum(not record["named"] for record in judged),
+        "misnamed": sum((record["misnamed_share"] or 0.0) > 0.0 for record in judged),
+        "naming_delay_median_s": median(delays),
+        "naming_delay_max_s": largest(delays),
     }
 
 
@@ -150,17 +153,24 @@ class JudgedSensors:
         wrong = (self.naming.named & self.healthy)[rows, :, axis].any(axis=1)
         changes = UNSEEN in event.kind or bool(np.any(self._truth[sensor][rows, axis] != 0.0))  # NaN, too
         is_judged = changes and rows.stop > rows.start
-        already = bool(named[: rows.start][-1:].any())
+        return {
+            **self.naming_of(event, named, is_judged),
+            "alarm_delay_s": self._delay(np.asarray(anything), rows, event.start) if is_judged else None,
+            "ambiguous_share": mean(ambiguous[rows]),
+            "misnamed_share": mean(wrong),
+            "attitude_error_max_deg": largest(self._error[rows]),
+        }
+
+    def naming_of(self, event: FaultEvent, named: Mask, is_judged: bool = True) -> Record:
+        """Judge when a faulty element is named (n,)."""
+        rows = self.rows(event.start, event.stop)
+        is_judged, already = is_judged and rows.stop > rows.start, bool(named[: rows.start][-1:].any())
         return {
             **event._asdict(),
             "named": bool(named[rows].any()) if is_judged else None,
             "already_named": already if is_judged else None,
-            "naming_delay_s": None if already or not is_judged else self.delay(named, rows, event.start),
-            "alarm_delay_s": self.delay(np.asarray(anything), rows, event.start) if is_judged else None,
+            "naming_delay_s": self._delay(named, rows, event.start) if is_judged and not already else None,
             "named_share": mean(named[rows]),
-            "ambiguous_share": mean(ambiguous[rows]),
-            "misnamed_share": mean(wrong),
-            "attitude_error_max_deg": largest(self._error[rows]),
         }
 
     def rows(self, start: float, stop: float) -> slice:
@@ -168,7 +178,7 @@ class JudgedSensors:
         first, last = np.searchsorted(self._time, (start, stop), side="left").tolist()
         return slice(first, max(first, last))
 
-    def delay(self, says: Mask, rows: slice, start: float) -> float | None:
+    def _delay(self, says: Mask, rows: slice, start: float) -> float | None:
         """Return when it is first said in some rows, since a start [s]; None: never."""
         hits = np.flatnonzero(says[rows])
         return number(self._time[rows.start + hits[0]] - start) if len(hits) else None

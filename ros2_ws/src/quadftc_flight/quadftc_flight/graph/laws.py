@@ -60,42 +60,26 @@ def values_of(plan: GraphPlan, node: str) -> dict[str, Any]:
     return {**{spec.name: spec.default for spec in specs}, **plan.node_parameters(node)}
 
 
-def _plant(values: Values, flies: bool) -> list[Any]:
-    return [simulator_from(values).law]
-
-
-def _fault_injector(values: Values, flies: bool) -> list[Any]:
-    injections = tuple(injector_from(values).injections.values())
-    return [Split(), Join(), *laws_of(injections).values()]
-
-
-def _fault_observer(values: Values, flies: bool) -> list[Any]:
-    return [Guarded(Observation(fault_observer_from(values), flies))]
-
-
-def _disturbance_observer(values: Values, flies: bool) -> list[Any]:
-    return [Guarded(DisturbanceObservation(disturbance_observer_from(values)))]
-
-
-def _controller(values: Values, flies: bool) -> list[Any]:
-    return [Guarded(AttitudeLoop(controller=controller_from(values), flies=flies))]
-
-
-def _reference(values: Values, flies: bool) -> list[Any]:
-    live = values["source"] == "topic"
-    return [build_prefixed(SetpointFilter, values, "setpoint") if live else stand_guidance_from(values)]
-
-
-def _position_controller(values: Values, flies: bool) -> list[Any]:
-    return [(live_guidance_from if values["source"] == "topic" else flight_guidance_from)(values)]
-
-
-LAWS: dict[str, Callable[[Values, bool], list[Any]]] = {
-    "plant": _plant,
-    "fault_injector": _fault_injector,
-    "fault_observer": _fault_observer,
-    "disturbance_observer": _disturbance_observer,
-    "controller": _controller,
-    "reference": _reference,
-    "position_controller": _position_controller,
+LAWS: dict[str, Callable[[Values, bool], list[Any]]] = {  # of each node, by its parameters; whether it flies
+    "plant": lambda values, _: [simulator_from(values).law],
+    "fault_injector": lambda values, _: [
+        Split(),
+        Join(),
+        *laws_of(tuple(injector_from(values).injections.values())).values(),
+    ],
+    "fault_observer": lambda values, flies: [Guarded(Observation(fault_observer_from(values), flies))],
+    "disturbance_observer": lambda values, _: [
+        Guarded(DisturbanceObservation(disturbance_observer_from(values)))
+    ],
+    "controller": lambda values, flies: [
+        Guarded(AttitudeLoop(controller=controller_from(values), flies=flies))
+    ],
+    "reference": lambda values, _: [
+        build_prefixed(SetpointFilter, values, "setpoint")
+        if values["source"] == "topic"
+        else stand_guidance_from(values)
+    ],
+    "position_controller": lambda values, _: [
+        (live_guidance_from if values["source"] == "topic" else flight_guidance_from)(values)
+    ],
 }
