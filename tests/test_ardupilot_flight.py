@@ -151,9 +151,9 @@ def test_page_attaches_to_what_ardupilot_flies(flying):
 
     with LiveGraph() as graph:
         page = page_of_running(graph)
-    assert (page["vehicle"], page["plant"], page["simulated"]) == ("x500", "free_flight", True)
-    assert page["parts"] == "x500, observer none, flown by ArduPilot"
-    assert page["home"] is None
+    assert (page.vehicle, page.plant, page.simulated) == ("x500", "free_flight", True)
+    assert page.parts == "x500, observer none, flown by ArduPilot"
+    assert page.home is None
 
 
 def test_packet_that_sitl_repeats_while_it_waits_gets_one_answer():

@@ -17,7 +17,7 @@ from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
 from quadftc_cli.commands.live import live
 from quadftc_cli.live_page import charts
-from quadftc_cli.live_page.page import Flown, words_of
+from quadftc_cli.live_page.page import words_of
 from quadftc_cli.live_page.player import Player, read_recorded
 from quadftc_cli.live_page.server import picture_of
 from quadftc_flight.fault_schedule import FaultEvent
@@ -55,7 +55,7 @@ def bag(tmp_path_factory) -> Path:
 
 def player_of(path: Path, speed: float = 1.0):
     recorded = read_recorded(path)
-    picture = picture_of(Flown(**recorded.flown))
+    picture = picture_of(recorded.flown)
     return Player(recorded, picture, speed), picture
 
 
@@ -111,9 +111,9 @@ def test_recorded_flight_pauses_ends_and_begins_again(bag):
 def test_page_of_a_recorded_flight_says_what_flew_and_failed(bag):
     recorded = read_recorded(bag)
     flown = recorded.flown
-    assert (flown["title"], flown["plant"]) == ("a hover with one fault", "free_flight")
-    assert flown["parts"] == "x500, observer isolating, controller ismc, 100 Hz, recorded"
-    assert (flown["simulated"], flown["home"]) == (False, None), "no buttons for faults, no sliders"
+    assert (flown.title, flown.plant) == ("a hover with one fault", "free_flight")
+    assert flown.parts == "x500, observer isolating, controller ismc, 100 Hz, recorded"
+    assert (flown.simulated, flown.home) == (False, None), "no buttons for faults, no sliders"
     assert recorded.warnings == ()
     assert [words_of(event) for event in recorded.events] == ["5.00 to 7.00 s  attitude pitch"]
     assert words_of(FaultEvent("roll", "stuck", 1.0, 2.5, "gyro")) == "1.00 to 2.50 s  gyro x: stuck"

@@ -24,9 +24,8 @@ from quadftc_cli.live import LiveGraph
 from quadftc_cli.live_page import charts
 from quadftc_cli.live_page.attached import follow, page_of_running, vehicles_of
 from quadftc_cli.live_page.commander import Commander
-from quadftc_cli.live_page.feed import Feed, Frame, receive
+from quadftc_cli.live_page.feed import Feed, Flown, Frame, receive
 from quadftc_cli.live_page.flying import Wish, fly_live, page_of, plan_of, scenario_of, serving
-from quadftc_cli.live_page.page import Flown
 from quadftc_cli.live_page.picture import Picture, amount
 from quadftc_cli.live_page.server import picture_of
 from quadftc_control.controller_node import ControllerNode
@@ -35,7 +34,6 @@ from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_flight.live_run import live_run
 from quadftc_model.samples import FAULTY, ComponentFault, DiagnosisReport, level_sample
 from quadftc_model.vehicle import load_vehicle
-from quadftc_report.serve.local import listen
 from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.scheduling import ORDINARY
 from quadftc_ros.wire import ImuWire, VectorWire
@@ -46,7 +44,7 @@ HOVER = Wish("", "", "", False, False, "", 0.0, None, "")
 RUN = "import sys, typer; from quadftc_cli.main import guarded; from quadftc_cli.commands.live import live; "
 RUN += "app = typer.Typer(); app.command()(live); sys.exit(guarded(sys.argv[1:], app))"
 PATIENCE = 60.0  # s
-PAGE = {"title": "", "vehicle": "qball_x4", "plant": "test_stand", "home": None}
+PAGE = Flown("", "the first", "qball_x4", "test_stand")
 
 
 @pytest.fixture
@@ -138,7 +136,7 @@ def test_charts_know_the_columns_of_a_row():
 def test_sliders_begin_where_the_vehicle_hovers():
     scenario = scenario_of(HOVER)
     plan = plan_of(HOVER, scenario, ORDINARY)
-    assert page_of(plan, scenario)["home"] == (0.0, 0.0, 1.5, 0.0)
+    assert page_of(plan, scenario).home == (0.0, 0.0, 1.5, 0.0)
     assert plan.parameters["position_controller"]["source"] == "topic"
     follows = Wish("free_circle", "", "", False, False, "500", 0.0, None, "")
     circle = plan_of(follows, scenario_of(follows), ORDINARY)
@@ -208,8 +206,8 @@ def test_page_is_attached_to_each_vehicle_that_flies(two_vehicles, channel):
         for name in vehicles_of(graph):
             graph.namespace = name
             flown.append(page_of_running(graph))
-        assert [each["namespace"] for each in flown] == ["uav1", "uav2"]
-        assert [each["parts"].partition(",")[0] for each in flown] == ["qball_x4", "crazyflie_2x"]
+        assert [each.namespace for each in flown] == ["uav1", "uav2"]
+        assert [each.parts.partition(",")[0] for each in flown] == ["qball_x4", "crazyflie_2x"]
         follow(graph, channel[0], flown, goes_on)
     assert {frame.vehicle for frame in frames if "imu/data" in frame.last} == {1}
     assert {frame.vehicle for frame in frames} == {0, 1}
@@ -226,16 +224,13 @@ def test_fault_goes_to_the_vehicle_that_the_page_shows(two_vehicles):
 
 @pytest.fixture(scope="module")
 def two_pages():
-    flown = [
-        {**PAGE, "namespace": "", "parts": "the first"},
-        {**PAGE, "namespace": "b", "parts": "the second"},
-    ]
-    with listen(0) as listener, serving(listener, flown, False) as (_, address):
+    flown = [PAGE, PAGE._replace(namespace="b", parts="the second")]
+    with serving(0, flown, False) as (_, address, _stop):
         yield address
 
 
 def test_vehicle_does_not_show_what_the_nodes_of_another_report():
-    flown = [Flown(**PAGE, namespace=name, parts="") for name in ("", "uav2")]
+    flown = [PAGE, PAGE._replace(namespace="uav2")]
     said = {"plant": "250", "uav2/plant": "500", "driver": "1000", "hw/driver": "2000"}
     told = [
         DiagnosticStatus(name=f"{node}: timing", values=[KeyValue(key="rate_hz", value=rate)])

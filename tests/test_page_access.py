@@ -18,20 +18,13 @@ from typing import NamedTuple
 import httpx
 import pytest
 
+from quadftc_cli.live_page.feed import Flown
 from quadftc_cli.live_page.flying import serving
 from quadftc_report.serve.jobs import Jobs
-from quadftc_report.serve.local import listen
 
 RUN = "import sys; from pathlib import Path; from quadftc_cli.commands.serve import serve; "
 RUN += "serve(Path(sys.argv[1]), int(sys.argv[2]), 2, 1, True)"
-FLOWN = {
-    "title": "",
-    "parts": "",
-    "vehicle": "qball_x4",
-    "plant": "test_stand",
-    "namespace": "",
-    "home": None,
-}
+FLOWN = Flown("", "", "qball_x4", "test_stand")
 BROWSER = """#!/bin/sh
 file=$(echo "$1" | sed s,^file://,,)
 { echo "$@"; stat -c %a "$file"; cat "$file"; } > browser.new
@@ -86,7 +79,7 @@ def live(home: Path, port: int) -> Iterator[tuple[str, int]]:
     """Start the page of ``quadftc live``, to which no flight sends anything."""
     children = Path(f"/proc/self/task/{os.getpid()}/children")
     before = set(children.read_text().split())
-    with listen(port) as listener, serving(listener, [FLOWN], True) as (_, address):
+    with serving(port, [FLOWN], True) as (_, address, _stop):
         (process,) = set(children.read_text().split()) - before
         yield address, int(process)
 

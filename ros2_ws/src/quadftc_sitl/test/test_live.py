@@ -11,7 +11,6 @@ import pytest
 from quadftc_bags.bag import read_bag
 from quadftc_cli.live import LiveGraph
 from quadftc_cli.live_page.attached import page_of_running
-from quadftc_cli.live_page.page import Flown
 from quadftc_cli.live_page.player import Player, read_recorded
 from quadftc_cli.live_page.server import picture_of
 from quadftc_model.samples import level_sample
@@ -44,7 +43,7 @@ def test_fault_by_hand_is_in_truth_and_bag_and_ctrl_c_lands(tmp_path, monkeypatc
     peer = tmp_path / "peer"
     peer.write_text(f"#!{sys.executable}\n" + (HERE / "sitl_peer.py").read_text())
     peer.chmod(0o755)
-    lines, page, stop, begun = [], {}, StopSignals(), threading.Event()
+    lines, pages, stop, begun = [], [], StopSignals(), threading.Event()
 
     def say(line):
         lines.append(line)
@@ -54,7 +53,7 @@ def test_fault_by_hand_is_in_truth_and_bag_and_ctrl_c_lands(tmp_path, monkeypatc
     def touch():
         with LiveGraph() as graph:
             assert begun.wait(300.0)
-            page.update(page_of_running(graph))
+            pages.append(page_of_running(graph))
             wanted = {"kind": "bias", "channel": "gyro", "axes": ["y"], "duration": 60.0}
             wanted |= {"parameter_names": ["value"], "parameter_values": [0.3]}
             graph.call("fault_injector/inject", InjectFault, InjectFault.Request(**wanted))
@@ -66,7 +65,7 @@ def test_fault_by_hand_is_in_truth_and_bag_and_ctrl_c_lands(tmp_path, monkeypatc
     operator.start()
     found = fly_sitl(plan_of_text(SCENARIO, "", "touched"), peer, tmp_path / "out", live=Live(stop, say))
     operator.join()
-    assert page["parts"] == "x500, observer isolating, flown by ArduPilot"
+    assert pages[0].parts == "x500, observer isolating, flown by ArduPilot"
     assert found["ended"] == "landed"
     (fault,) = json.loads((tmp_path / "out" / "sitl.json").read_text())["faults"]
     assert (fault["component"], fault["elements"], fault["size"]) == ("gyro", ["y"], 0.3)
@@ -77,7 +76,7 @@ def test_fault_by_hand_is_in_truth_and_bag_and_ctrl_c_lands(tmp_path, monkeypatc
     faulty = series["stamp_ns"][series["vector"][:, 1] > 0.15]
     assert 1e-9 * (faulty[-1] - faulty[0]) == pytest.approx(fault["stop"] - fault["start"], abs=0.02)
     recorded = read_recorded(tmp_path / "out")  # the page plays it, too
-    picture = picture_of(Flown(**recorded.flown))
+    picture = picture_of(recorded.flown)
     player = Player(recorded, picture, 1.0)
     (event,) = recorded.events
     player.wanted = event.start + 0.25

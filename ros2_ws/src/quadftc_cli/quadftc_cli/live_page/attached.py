@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from quadftc_bags.interfaces import load_message_class
 from quadftc_cli.live import AUTOPILOTS, CONTROLLER, OBSERVER, OTHERS, LiveGraph
-from quadftc_cli.live_page.feed import DIAGNOSTICS, GUIDANCE, Feed, shown_topics
+from quadftc_cli.live_page.feed import DIAGNOSTICS, GUIDANCE, Feed, Flown, shown_topics
 from quadftc_flight.graph.plan import SLICE, GraphError
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_ros.topics import TOPICS
@@ -35,50 +35,42 @@ def vehicles_of(graph: LiveGraph) -> list[str]:
     return sorted({name for each in services for name in graph.namespaces(each)})
 
 
-def page_of_running(graph: LiveGraph) -> dict[str, Any]:
-    """Ask the nodes what flies; return the fields of `page.Flown`. A GraphError says who does not answer."""
+def page_of_running(graph: LiveGraph) -> Flown:
+    """Ask the nodes what flies. A GraphError says who does not answer."""
     if (pilot := graph.choose_vehicle(CONTROLLER, *AUTOPILOTS)) in AUTOPILOTS:
         return _page_of_autopilot(graph, AUTOPILOTS[pilot])
     vehicle, plant, controller = _values(graph, "controller", "vehicle", "plant_kind", "controller")
     (observer,) = _values(graph, "fault_observer", "observer")
     (source,) = _values(graph, GUIDANCE[plant], "source")
-    return {
-        "title": f"Attached to {graph.namespace or 'what flies'}",
-        "parts": f"{Path(vehicle).stem}, observer {observer}, controller {controller}",
-        "vehicle": vehicle,
-        "plant": plant,
-        "namespace": graph.namespace,
-        "home": _home(graph, plant) if source == "topic" else None,
-        "simulated": bool(graph.namespaces("fault_injector/inject")),
-    }
+    parts = f"{Path(vehicle).stem}, observer {observer}, controller {controller}"
+    home = _home(graph, plant) if source == "topic" else None
+    simulated = bool(graph.namespaces("fault_injector/inject"))
+    return Flown(_title(graph), parts, vehicle, plant, graph.namespace, home, simulated)
 
 
-def _page_of_autopilot(graph: LiveGraph, name: str) -> dict[str, Any]:
-    """Return the fields of `page.Flown` where an autopilot flies: it takes no setpoints from us."""
+def _page_of_autopilot(graph: LiveGraph, name: str) -> Flown:
+    """Say what flies where an autopilot does: it takes no setpoints from us."""
     backend = f"{name.lower()}_backend"
     (vehicle,) = _values(graph, backend, "vehicle")
     beside = "fault_observer" if graph.offers(OBSERVER) else backend  # which may have one of its own
     (observer,) = _values(graph, beside, "observer", missing="none")
-    return {
-        "title": f"Attached to {graph.namespace or 'what flies'}",
-        "parts": f"{Path(vehicle).stem}, observer {observer}, flown by {name}",
-        "vehicle": vehicle,
-        "plant": "free_flight",
-        "namespace": graph.namespace,
-        "home": None,
-        "simulated": True,
-    }
+    parts = f"{Path(vehicle).stem}, observer {observer}, flown by {name}"
+    return Flown(_title(graph), parts, vehicle, "free_flight", graph.namespace)
+
+
+def _title(graph: LiveGraph) -> str:
+    return f"Attached to {graph.namespace or 'what flies'}"
 
 
 def follow(
-    graph: LiveGraph, channel: socket.socket, vehicles: Sequence[dict[str, Any]], goes_on: Callable[[], bool]
+    graph: LiveGraph, channel: socket.socket, vehicles: Sequence[Flown], goes_on: Callable[[], bool]
 ) -> None:
-    """Hand what the graph says of vehicles, fields of `page.Flown` each, to the page until it is over."""
+    """Hand what the graph says of vehicles to the page until it is over."""
     feeds: list[Feed] = []
     for number, flown in enumerate(vehicles):
-        feed = Feed(channel, flown["namespace"], flown["plant"], number)
-        prefix = f"/{flown['namespace']}/".replace("//", "/")
-        for topic in (*shown_topics(flown["plant"]), DIAGNOSTICS):
+        feed = Feed(channel, flown.namespace, flown.plant, number)
+        prefix = f"/{flown.namespace}/".replace("//", "/")
+        for topic in (*shown_topics(flown.plant), DIAGNOSTICS):
             full = topic if topic.startswith("/") else f"{prefix}{topic}"
             kind = load_message_class(TOPICS[topic].type_name)
             profile = ALL if topic == DIAGNOSTICS else LATEST

@@ -27,6 +27,18 @@ SHOWN = (
 )
 
 
+class Flown(NamedTuple):
+    """What flies, for the page's heading and its controls."""
+
+    title: str  # of the scenario
+    parts: str  # vehicle, observer, controller
+    vehicle: str  # name, or path of a TOML file
+    plant: PlantKind
+    namespace: str = ""
+    home: tuple[float, ...] | None = None  # live setpoint at first, in SI; None: the scenario's is followed
+    simulated: bool = True  # with plant and fault injector; False: a vehicle that exists
+
+
 class Frame(NamedTuple):
     """What goes to the page at a time."""
 

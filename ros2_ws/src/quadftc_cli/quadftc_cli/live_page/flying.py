@@ -16,7 +16,7 @@ from typing import Any
 
 from quadftc_cli.live import LiveGraph
 from quadftc_cli.live_page.attached import follow, page_of_running, vehicles_of
-from quadftc_cli.live_page.feed import GUIDANCE, Feed
+from quadftc_cli.live_page.feed import GUIDANCE, Feed, Flown
 from quadftc_cli.screen import say
 from quadftc_control.trajectory import combined
 from quadftc_flight.graph.composed import ComposedGraph
@@ -77,23 +77,17 @@ def plan_of(wish: Wish, scenario: Scenario, scheduling: Scheduling) -> GraphPlan
     return GraphPlan(parameters, "realtime", wish.namespace, wish.record, **how)
 
 
-def page_of(plan: GraphPlan, scenario: Scenario) -> dict[str, Any]:
-    """Return what the page has to know of a flight: the fields of `page.Flown`."""
-    values = plan.parameters
-    names = [Path(scenario.vehicle).stem, *(str(values[node]["observer"]) for node in ("fault_observer",))]
-    parts = f"{names[0]}, observer {names[1]}, controller {values['controller']['controller']}"
+def page_of(plan: GraphPlan, scenario: Scenario) -> Flown:
+    """Return what the page has to know of a flight."""
+    values, vehicle = plan.parameters, scenario.vehicle
+    observer, controller = values["fault_observer"]["observer"], values["controller"]["controller"]
+    parts = f"{Path(vehicle).stem}, observer {observer}, controller {controller}, {scenario.rate:g} Hz"
     guidance = values[GUIDANCE[plan.plant]]
     home = None
     if guidance.get("source") == "topic":
         home = (*begin_of(scenario), 0.0) if plan.plant == "free_flight" else (0.0, 0.0, 0.0)
-    return {
-        "title": scenario.description or scenario.name,
-        "parts": f"{parts}, {scenario.rate:g} Hz",
-        "vehicle": scenario.vehicle,
-        "plant": plan.plant,
-        "namespace": plan.namespace,
-        "home": home,
-    }
+    title = scenario.description or scenario.name
+    return Flown(title, parts, vehicle, plan.plant, plan.namespace, home)
 
 
 def begin_of(scenario: Scenario) -> tuple[float, float, float]:
@@ -105,13 +99,25 @@ def begin_of(scenario: Scenario) -> tuple[float, float, float]:
 
 @contextmanager
 def serving(
-    listener: socket.socket, flown: Sequence[dict[str, Any]], opens: bool
-) -> Iterator[tuple[socket.socket, str]]:
-    """Serve the page in a process of its own, which opens a browser; yields frames' socket and URL.
+    port: int, flown: Sequence[Flown], opens: bool
+) -> Iterator[tuple[socket.socket, str, StopSignals]]:
+    """Serve the page in a process of its own, which opens a browser; yields frames' socket, URL and Ctrl-C.
 
-    ``flown`` are the vehicles, the fields of `page.Flown` of each. A GraphError says if it does not start. It
-    has a session of its own: Ctrl-C reaches this process alone.
+    A GraphError says if it does not start. It has a session of its own: Ctrl-C reaches this process alone.
     """
+    with (
+        private_files(),
+        StopSignals() as stop,
+        listen(port) as listener,
+        _page_process(listener, flown, opens) as (channel, address),
+    ):
+        yield channel, address, stop
+
+
+@contextmanager
+def _page_process(
+    listener: socket.socket, flown: Sequence[Flown], opens: bool
+) -> Iterator[tuple[socket.socket, str]]:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, FEED)
     ends = (theirs.fileno(), listener.fileno())
@@ -140,17 +146,12 @@ def serving(
 def show_running(namespace: str, port: int, opens: bool) -> int:
     """Show a graph that runs already, and return the exit code."""
     with LiveGraph(namespace) as graph:
-        flown: list[dict[str, Any]] = []
+        flown: list[Flown] = []
         for name in vehicles_of(graph):
             graph.namespace = name
             flown.append(page_of_running(graph))
-        with (
-            private_files(),
-            StopSignals() as stop,
-            listen(port) as listener,
-            serving(listener, flown, opens) as (channel, address),
-        ):
-            said = [f"{each['title']}: {each['parts']}" for each in flown]
+        with serving(port, flown, opens) as (channel, address, stop):
+            said = [f"{each.title}: {each.parts}" for each in flown]
             say(*said, f"page:   {address}", stderr=True)
             follow(graph, channel, flown, lambda: not stop.requested)
     return 0
@@ -162,11 +163,8 @@ def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int,
     scenario = scenario_of(wish)
     plan = plan_of(wish, scenario, options.scheduling)
     with (
-        private_files(),
         tempfile.TemporaryDirectory(prefix="quadftc_") as folder,
-        StopSignals() as stop,
-        listen(port) as listener,
-        serving(listener, [page_of(plan, scenario)], opens) as (channel, address),
+        serving(port, [page_of(plan, scenario)], opens) as (channel, address, stop),
     ):
         if plan.bag is not None:
             file = Path(folder, "parameters.yaml")

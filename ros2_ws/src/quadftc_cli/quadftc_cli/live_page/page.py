@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from nicegui import background_tasks, ui
 
 from quadftc_cli.live_page.charts import StripCharts
 from quadftc_cli.live_page.commander import Commander
+from quadftc_cli.live_page.feed import Flown
 from quadftc_cli.live_page.picture import Picture, State
 from quadftc_cli.live_page.player import Player
 from quadftc_cli.live_page.scene import CORRECTED, MEASURED, TRUTH, VehicleScene
@@ -58,19 +58,6 @@ SLIDERS = {  # target -> name, unit shown, SI per unit, least, largest, step
         ("yaw", "°", math.radians(1.0), -90.0, 90.0, 1.0),
     ),
 }
-
-
-@dataclass(frozen=True)
-class Flown:
-    """What flies, for the page's heading and its controls."""
-
-    title: str  # of the scenario
-    parts: str  # vehicle, observer, controller
-    vehicle: str  # name, or path of a TOML file
-    plant: str  # test_stand or free_flight
-    namespace: str
-    home: tuple[float, ...] | None  # live setpoint to begin with, in SI; None: the scenario's is followed
-    simulated: bool = True  # with plant and fault injector; False: a vehicle that exists
 
 
 class Vehicle(NamedTuple):

@@ -18,7 +18,7 @@ import yaml
 
 from quadftc_bags.bag import Bag, BagError, bag_topics, read_bag
 from quadftc_cli.live_page.charts import WINDOW
-from quadftc_cli.live_page.feed import DIAGNOSTICS, PERIOD, SHOWN, Frame
+from quadftc_cli.live_page.feed import DIAGNOSTICS, PERIOD, SHOWN, Flown, Frame
 from quadftc_cli.live_page.picture import Picture
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import flight_from_bag
@@ -44,7 +44,7 @@ VEHICLE = "qball_x4"  # default of the nodes
 class Recorded(NamedTuple):
     """A bag as the page needs it."""
 
-    flown: dict[str, Any]  # fields of `page.Flown`
+    flown: Flown
     begin_ns: int  # stamp of the first sample
     times: list[float]  # of the messages, rising [s]
     messages: list[tuple[str, bytes]]  # topic, relative to the namespace, and data
@@ -73,8 +73,8 @@ def read_recorded(path: Path, namespace: str = "") -> Recorded:
         raise BagError(f"{bag.path}: {len(samples)} samples at one moment on {prefix}{SAMPLES}")
     flown = _flown(bag, {*topics.values()}, len(samples) / times[-1])
     warnings = [f"{bag.path}: cut short; played up to there{bag.remedy}"] if bag.truncated else []
-    if not flown["vehicle"]:
-        flown["vehicle"] = VEHICLE
+    if not flown.vehicle:
+        flown = flown._replace(vehicle=VEHICLE)
         warnings.append(f"{bag.path}: says of no vehicle; drawn as {VEHICLE}")
     return Recorded(
         flown,
@@ -112,23 +112,21 @@ def _prefix_of(bag: Bag, namespace: str) -> str:
     return full.removesuffix(SAMPLES)
 
 
-def _flown(bag: Bag, topics: set[str], rate: float) -> dict[str, Any]:
-    """Return the fields of `page.Flown`, as far as the files in and beside the bag tell."""
+def _flown(bag: Bag, topics: set[str], rate: float) -> Flown:
+    """Return what flew, as far as the files in and beside the bag tell."""
     parameters = _parsed(bag, PARAMETERS, parse_parameters)
     scenario = _parsed(bag, SCENARIO, lambda text: dict(yaml.safe_load(text)))
     flying, watching = (parameters.get(node, {}) for node in ("controller", "fault_observer"))
     vehicle = _text(flying, "vehicle") or _text(watching, "vehicle") or _text(scenario, "vehicle")
     said = {"observer": _text(watching, "observer"), "controller": _text(flying, "controller")}
     parts = [f"{role} {name}" for role, name in said.items() if name]
-    return {
-        "title": _text(scenario, "description") or _text(scenario, "name") or run_name(bag.path),
-        "parts": ", ".join(filter(None, (Path(vehicle).stem, *parts, f"{rate:.0f} Hz, recorded"))),
-        "vehicle": vehicle,
-        "plant": "free_flight" if topics - {*GRAPHS["test_stand"]} else "test_stand",
-        "namespace": "",
-        "home": None,
-        "simulated": False,
-    }
+    return Flown(
+        title=_text(scenario, "description") or _text(scenario, "name") or run_name(bag.path),
+        parts=", ".join(filter(None, (Path(vehicle).stem, *parts, f"{rate:.0f} Hz, recorded"))),
+        vehicle=vehicle,
+        plant="free_flight" if topics - {*GRAPHS["test_stand"]} else "test_stand",
+        simulated=False,
+    )
 
 
 def _text(values: Mapping[str, Any], key: str) -> str:

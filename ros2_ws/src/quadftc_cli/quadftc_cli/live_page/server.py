@@ -1,9 +1,9 @@
 """The process of the page: ``python -m quadftc_cli.live_page.server CHANNEL LISTENER FLOWN [open]``.
 
 The first two are open file descriptors: the socket from which frames of the flight come, and the one that
-browsers connect to. The third is in JSON a list of vehicles, the fields of `page.Flown` of each. When it
-serves, the page says its address with the token on the socket, and opens a browser if that is asked for. It
-ends when the socket is closed.
+browsers connect to. The third is in JSON a list of vehicles, the fields of `Flown` of each. When it serves,
+the page says its address with the token on the socket, and opens a browser if that is asked for. It ends when
+the socket is closed.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ import uvicorn
 from fastapi import FastAPI
 
 from quadftc_cli.live_page.commander import Commander
-from quadftc_cli.live_page.feed import receive
-from quadftc_cli.live_page.page import Flown, Vehicle, add_page
+from quadftc_cli.live_page.feed import Flown, receive
+from quadftc_cli.live_page.page import Vehicle, add_page
 from quadftc_cli.live_page.picture import Picture
 from quadftc_cli.live_page.player import Player, read_recorded
 from quadftc_cli.screen import say
@@ -45,8 +45,7 @@ Source = Callable[[str], AbstractAsyncContextManager[None]]  # feeds a picture m
 
 def picture_of(flown: Flown, *others: Flown) -> Picture:
     """Return an empty picture of a flight, beside others."""
-    plant = "free_flight" if flown.plant == "free_flight" else "test_stand"
-    picture = Picture(load_vehicle(flown.vehicle), plant)
+    picture = Picture(load_vehicle(flown.vehicle), flown.plant)
     picture.namespace = flown.namespace
     picture.namespaces = frozenset(each.namespace for each in (flown, *others))
     return picture
@@ -127,7 +126,7 @@ def main(channel: int, listener: int, flown: str, *options: str) -> None:
     give_way()
     server: list[uvicorn.Server] = []
     flight, browsers = socket.socket(fileno=channel), socket.socket(fileno=listener)
-    every = [Flown(**each) for each in json.loads(flown)]
+    every = [Flown(*each) for each in json.loads(flown)]
     vehicles = [Vehicle(picture_of(each, *every), Commander(each.namespace), each) for each in every]
     source = partial(following, flight, [each.picture for each in vehicles], server)
     serve(make_app(vehicles, browsers, source, "open" in options), browsers, server)
@@ -136,8 +135,7 @@ def main(channel: int, listener: int, flown: str, *options: str) -> None:
 def show_recorded(bag: Path, speed: float, namespace: str, port: int, opens: bool) -> None:
     """Serve the page of a recorded flight until Ctrl-C; a ValueError says what is wrong with it."""
     recorded = read_recorded(bag, namespace)
-    flown = Flown(**recorded.flown)
-    picture = picture_of(flown)
+    flown, picture = recorded.flown, picture_of(recorded.flown)
     player = Player(recorded, picture, speed)
     vehicle = Vehicle(picture, Commander(""), flown, player)
     with private_files(), listen(port) as listener, contextlib.suppress(KeyboardInterrupt):

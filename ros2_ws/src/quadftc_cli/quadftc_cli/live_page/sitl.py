@@ -7,11 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from quadftc_cli.live_page.feed import Feed
+from quadftc_cli.live_page.feed import Feed, Flown
 from quadftc_cli.live_page.flying import serving
 from quadftc_cli.screen import say
-from quadftc_report.serve.local import listen, private_files
-from quadftc_ros.executor import StopSignals
 from quadftc_sitl.live import Live
 from quadftc_sitl.plan import SitlPlan
 
@@ -21,20 +19,9 @@ def showing(plan: SitlPlan, port: int, opens: bool) -> Iterator[Live]:
     """Serve the page of a flight, and open it in a browser if asked for; yields how the flight is shown."""
     scenario, observer = plan.scenario, plan.scheme.observer.kind
     parts = f"{Path(scenario.vehicle).stem}, observer {observer}, flown by {plan.autopilot.title}"
-    flown = {
-        "title": scenario.description or scenario.name,
-        "parts": f"{parts}, {plan.rate:g} Hz",
-        "vehicle": scenario.vehicle,
-        "plant": "free_flight",
-        "namespace": "",
-        "home": None,
-    }
-    with (
-        private_files(),
-        StopSignals() as stop,
-        listen(port) as listener,
-        serving(listener, [flown], opens) as (channel, address),
-    ):
+    title, parts = scenario.description or scenario.name, f"{parts}, {plan.rate:g} Hz"
+    flown = Flown(title, parts, scenario.vehicle, "free_flight")
+    with serving(port, [flown], opens) as (channel, address, stop):
         feed = Feed(channel, "", "free_flight")
-        say(f"{flown['title']}: {flown['parts']}", f"page:   {address}", stderr=True)
+        say(f"{title}: {parts}", f"page:   {address}", stderr=True)
         yield Live(stop, lambda line: say(line, stderr=True), feed.tap, feed.beat)
