@@ -6,16 +6,14 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any
 
-from rclpy.context import Context
 from rclpy.node import Node
 
 from quadftc_bags.interfaces import load_message_class
 from quadftc_flight.graph.plan import GraphError
-from quadftc_ros.executor import make_executor
+from quadftc_ros.executor import NodeHost
 from quadftc_ros.qos import service_profile, topic_profile
-from quadftc_ros.reach import enclave_arguments
 from quadftc_ros.topics import TOPICS
 
 PATIENCE = 5.0  # s; for nodes to be found, and for an answer
@@ -25,28 +23,18 @@ CONTROLLER, OBSERVER = (f"{node}/get_parameters" for node in ("controller", "fau
 AUTOPILOTS = {f"{name.lower()}_backend/get_parameters": name for name in ("ArduPilot", "PX4", "Betaflight")}
 
 
-class LiveGraph:
+class LiveGraph(NodeHost):
     """A node among those that run; a context manager. A `GraphError` says what is not there.
 
     Without a ``namespace``, the only vehicle there is stands for it.
     """
 
     def __init__(self, namespace: str = "") -> None:
+        super().__init__("operator")
         self.namespace = namespace.strip("/")
-        self._context = Context()
-        self._context.init(args=["--ros-args", *enclave_arguments("operator")])
-        self._executor = make_executor("events", self._context)
         name = f"quadftc_{os.getpid()}"
-        self.node = Node(name, context=self._context, use_global_arguments=False, enable_rosout=False)
-        self._executor.add_node(self.node)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        options = {"context": self._context, "use_global_arguments": False, "enable_rosout": False}
+        self.node: Node = self._host(Node(name, **options))
 
     def spin(self, duration: float) -> None:
         """Serve the node for a time [s]."""

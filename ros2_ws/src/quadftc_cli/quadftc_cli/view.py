@@ -13,6 +13,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from quadftc_cli.live_page.picture import MODES, amount, level_of
 from quadftc_cli.screen import plain_table
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import AXES
@@ -22,13 +23,7 @@ PERIOD = 0.25  # s; between two points of a curve
 POINTS = 60  # of a curve: 15 s
 SILENT = 1.0  # s; what is older is not shown as present
 LEVELS = ("ok", "[yellow]WARN[/]", "[red]ERROR[/]", "[red]STALE[/]")
-MODES = (
-    "full",
-    "[yellow]no diagnosis[/]",
-    "[yellow]no disturbance estimate[/]",
-    "[red]hold[/]",
-    "[red]off[/]",
-)
+COLOURS = ("default", "yellow", "yellow", "red", "red")  # of `MODES`
 ROWS = (  # topic, what it is called
     ("attitude/reference", "reference"),
     ("imu/data", "measured"),
@@ -117,16 +112,15 @@ class View:
             )
             lines.append(f"faults: {'; '.join(found) or 'none'} (watched: {watched})")
         if (status := self.present("control/status", now)) is not None:
-            lines.append(f"controller: {MODES[status.mode] if status.mode < len(MODES) else status.mode}")
+            known = status.mode < len(MODES)
+            mode = f"[{COLOURS[status.mode]}]{MODES[status.mode]}[/]" if known else status.mode
+            lines.append(f"controller: {mode}")
         for name, status in sorted(self._statuses.items()):
-            level = status.level[0] if isinstance(status.level, bytes) else status.level
-            if level:
+            if level := level_of(status):
                 lines.append(f"{LEVELS[min(level, 3)]} {name}: {status.message}")
         return lines
 
 
 def _finding(fault: Any) -> str:
-    angle = fault.unit.startswith("rad")
-    size = math.degrees(fault.size) if angle else fault.size
-    unit = fault.unit.replace("rad", "deg") if angle else fault.unit
-    return f"[red]{fault.component} {fault.element}[/] {fault.kind} {size:.2f} {unit}"
+    size = amount(fault.size, fault.std_dev, fault.unit)
+    return f"[red]{fault.component} {fault.element}[/] {fault.kind} {size}"

@@ -14,9 +14,10 @@ import weakref
 from collections.abc import Callable, Generator, Sequence
 from operator import attrgetter
 from types import FrameType
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, Self, cast
 
 import rclpy
+from rclpy.context import Context
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
@@ -27,6 +28,7 @@ from rclpy.task import Future
 from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.node import GraphNode
 from quadftc_ros.node_help import help_text, running_line, wants_help
+from quadftc_ros.reach import enclave_arguments
 from quadftc_ros.starting import STOPPING
 
 EXECUTORS = ("events", "single")
@@ -68,6 +70,36 @@ def _wind_up(executor: Any) -> None:
     for node in executor.get_nodes():
         for timer in node.timers:
             timer.reset()
+
+
+class NodeHost:
+    """Nodes in a context of their own, with the keys of a name, and what serves them; a context manager."""
+
+    def __init__(self, name: str, executor: str = "events") -> None:
+        self._context = Context()
+        # what the process was called with is not meant for the nodes
+        self._context.init(args=["--ros-args", *enclave_arguments(name)])
+        self._executor = make_executor(executor, self._context)
+        self._nodes: list[Any] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _host(self, node: Any) -> Any:
+        """Let the executor serve a node of the context."""
+        self._executor.add_node(node)
+        self._nodes.append(node)
+        return node
+
+    def close(self) -> None:
+        """End the nodes."""
+        self._executor.shutdown()
+        while self._nodes:
+            self._nodes.pop(0).destroy_node()
+        self._context.try_shutdown()
 
 
 class Slice:

@@ -10,10 +10,9 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from quadftc_flight.graph.following import ALONE
@@ -23,10 +22,9 @@ from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import DiagnosisReport, PositionReference
 from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.diagnostics import OK, WARN
-from quadftc_ros.executor import StopSignals, make_executor
+from quadftc_ros.executor import NodeHost, StopSignals
 from quadftc_ros.motion_wire import PoseWire
 from quadftc_ros.node import GraphNode
-from quadftc_ros.reach import enclave_arguments
 from quadftc_ros.rotor_wire import RotorStatusWire
 from quadftc_ros.topics import EARTH_FRAME, crowded_topics
 from quadftc_ros.transport import Tap
@@ -124,13 +122,14 @@ class SitlNode(GraphNode):
         self.diagnostics.report("faults", level, words, **active)
 
 
-class LiveFlight:
+class LiveFlight(NodeHost):
     """Runs the node of a flight, and keeps its time; a context manager.
 
     A `SitlError` says if another vehicle is in the ROS domain.
     """
 
     def __init__(self, live: Live, plan: SitlPlan, physics: Physics, pilot: Pilot) -> None:
+        super().__init__("launcher")
         self._live, self._physics, self._pilot = live, physics, pilot
         self._zero: float | None = None  # of real time, on the monotonic clock [s]; None: not armed yet
         self._looked = 0.0  # on that clock
@@ -138,9 +137,6 @@ class LiveFlight:
         self._faults: dict[int, Fault] = {}  # that were told
         self._named, self._begun = "", False
         self._refusals: set[str] = set()  # of arming, that were told
-        self._context = Context()
-        self._context.init(args=["--ros-args", *enclave_arguments("launcher")])
-        self._executor = make_executor("events", self._context)
         given = {
             "plant_kind": "free_flight",
             "vehicle": plan.scenario.vehicle,
@@ -148,24 +144,11 @@ class LiveFlight:
         }
         overrides = [Parameter(name, value=value) for name, value in given.items()]
         options = {"context": self._context, "parameter_overrides": overrides, "use_global_arguments": False}
-        self._node = SitlNode(plan, physics, pilot.journal, tap=live.tap, **options)
-        self._executor.add_node(self._node)
+        self._node: SitlNode = self._host(SitlNode(plan, physics, pilot.journal, tap=live.tap, **options))
         self._serve(time.monotonic() + TO_BE_FOUND)
         if crowd := crowded_topics(self._node.count_publishers, "free_flight"):
             self.close()
             raise SitlError(f"{crowd[0]}: {ALONE}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the node."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
 
     def show(self, shown: Shown) -> None:
         """Publish a sample."""

@@ -13,18 +13,17 @@ from importlib.metadata import version
 
 import rclpy
 import typer
-from rclpy.context import Context
 from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Header
 
 from quadftc_bags.interfaces import load_message_class
 from quadftc_cli.commands import CHECK_FAILED
+from quadftc_cli.live import PATIENCE, LiveGraph
 from quadftc_cli.screen import console
 from quadftc_flight.graph.plan import EXECUTABLES, GraphError
 from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import ScenarioError, find_scenario, load_scenario, scenario_names
 from quadftc_model.vehicle import load_vehicle, vehicle_names
-from quadftc_ros.executor import make_executor
 from quadftc_ros.leftovers import find_leftovers
 from quadftc_ros.reach import LOOPBACK, PROFILE, RANGE, is_bound, open_addresses, outside, reach
 from quadftc_ros.topics import TOPICS
@@ -82,43 +81,25 @@ def _scenarios() -> str:
 
 def _communication() -> str:
     """Send a message from one node to another and time it."""
-    context = Context()
-    context.init()
-    executor = make_executor("events", context)
-    node = rclpy.create_node("doctor", context=context, use_global_arguments=False)
-    try:
+    with LiveGraph() as graph:
         received: list[float] = []
-        publisher = node.create_publisher(Header, "~/loop", 10)
-        node.create_subscription(Header, "~/loop", lambda _: received.append(time.perf_counter()), 10)
-        executor.add_node(node)
-        end = time.perf_counter() + 5.0
-        while publisher.get_subscription_count() == 0 and time.perf_counter() < end:
-            executor.spin_once(timeout_sec=0.05)
+        publisher = graph.node.create_publisher(Header, "~/loop", 10)
+        graph.node.create_subscription(Header, "~/loop", lambda _: received.append(time.perf_counter()), 10)
+        graph.until(publisher.get_subscription_count)
         sent = time.perf_counter()
         publisher.publish(Header())
-        while not received and time.perf_counter() < end:
-            executor.spin_once(timeout_sec=0.05)
-        if not received:
-            raise GraphError("a message did not come back within 5 s")
+        if not graph.until(lambda: received):
+            raise GraphError(f"a message did not come back within {PATIENCE:g} s")
         return f"a message took {(received[0] - sent) * 1e6:.0f} us within this process"
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        context.try_shutdown()
 
 
 def _reach() -> str:
     """Say who can reach nodes, and where their sockets really are."""
-    context = Context()
-    context.init()
-    node = rclpy.create_node("doctor", context=context, use_global_arguments=False)
     try:
-        abroad = outside(open_addresses())
+        with LiveGraph():
+            abroad = outside(open_addresses())
     except OSError:  # no /proc
         return reach()
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
     if abroad and is_bound():
         raise RuntimeError(f"sockets on {', '.join(abroad)}, though {PROFILE} is {LOOPBACK}")
     return f"{reach()}; a node's sockets are on {', '.join(abroad) or '127.0.0.1 only'}"

@@ -202,7 +202,7 @@ class Picture:
 
     def warnings(self) -> list[tuple[str, str, str]]:
         """Return level, name and words of what the nodes warn of, the worst first."""
-        found = [(_level(status), status.name, status.message) for status in self._statuses.values()]
+        found = [(level_of(status), status.name, status.message) for status in self._statuses.values()]
         return [
             (LEVELS[min(level, 3)], name, words)
             for level, name, words in sorted(found, reverse=True)
@@ -250,5 +250,6 @@ def _or_nothing(vector: Any) -> Any:
     return NOTHING if vector is None else vector
 
 
-def _level(status: Any) -> int:
+def level_of(status: Any) -> int:
+    """Return the level of a status, which rclpy gives as a byte."""
     return status.level[0] if isinstance(status.level, bytes) else int(status.level)

@@ -7,39 +7,27 @@ import abc
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Self
+from typing import Any
 
-from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from quadftc_flight.graph.plan import CONNECT_TIMEOUT, SLICE, STALL_TIMEOUT, GraphError, Progress, always
-from quadftc_ros.executor import Slice, make_executor
-from quadftc_ros.reach import enclave_arguments
+from quadftc_ros.executor import NodeHost, Slice
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import PlantKind, crowded_topics
 
 ALONE = "another graph runs in this ROS domain; stop it, or set another ROS_DOMAIN_ID"
 
 
-class Graph(abc.ABC):
+class Graph(NodeHost, abc.ABC):
     """A graph that is running; a context manager, which closes it."""
 
     def __init__(self, executor: str) -> None:
+        super().__init__("launcher", executor)
         self.exit_code = 0  # the worst of the processes, once they were stopped
-        self._context = Context()
-        # what the launcher was called with is not meant for the nodes
-        self._context.init(args=["--ros-args", *enclave_arguments("launcher")])
-        self._executor = make_executor(executor, self._context)
         self._slice = Slice(self._executor)
-        self._nodes: list[Any] = []  # of this process
         self._begun = False  # whether there is anything to be kept
         self._watchers: list[tuple[Any, PlantKind]] = []  # a node of each vehicle, and what it flies
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @abc.abstractmethod
     def _missing(self) -> list[str]:
@@ -49,7 +37,7 @@ class Graph(abc.ABC):
     def _state(self) -> tuple[bool, int]:
         """Say whether the flight is over, and how many samples there were."""
 
-    def _check_alive(self) -> None:  # noqa: B027
+    def _check_alive(self) -> None:
         """Raise a `GraphError` if a node has ended."""
 
     def _add_node(
@@ -61,7 +49,7 @@ class Graph(abc.ABC):
         **options: Any,
     ) -> Any:
         """Make a node and let the executor serve it."""
-        node = node_class(
+        made = node_class(
             context=self._context,
             namespace=namespace or None,
             parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
@@ -69,9 +57,7 @@ class Graph(abc.ABC):
             **({"cli_args": remaps} if remaps else {}),
             **options,
         )
-        self._executor.add_node(node)
-        self._nodes.append(node)
-        return node
+        return self._host(made)
 
     @property
     def recorder(self) -> RecorderNode | None:
@@ -85,10 +71,7 @@ class Graph(abc.ABC):
             recorder.finish()
             if not self._begun:
                 shutil.rmtree(recorder.path.parent, ignore_errors=True)
-        self._executor.shutdown()
-        while self._nodes:
-            self._nodes.pop(0).destroy_node()
-        self._context.try_shutdown()
+        super().close()
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
         """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.
