@@ -189,7 +189,7 @@ def test_rotor_lost_in_flight_is_named_without_a_vehicle_file(rotor: int, share:
     verdict = inspect(rocking(rotor, share=share)).verdict
     (found,) = verdict.findings
     assert (found.component, found.element) == ("rotor", str(rotor + 1))
-    assert found.onset_s == pytest.approx(20.0, abs=0.05)
+    assert found.onset_s == pytest.approx(20.0, abs=0.15)
     assert found.size == pytest.approx(share, abs=0.3)
     assert verdict.model is not None
     assert all(verdict.model.usable[:2])
@@ -198,7 +198,7 @@ def test_rotor_lost_in_flight_is_named_without_a_vehicle_file(rotor: int, share:
 def test_rotor_lost_before_there_is_a_model_is_named_by_what_follows():
     (found,) = inspect(rocking(2, onset=2.0, share=0.6, after=13.0)).verdict.findings
     assert (found.component, found.element) == ("rotor", "3")
-    assert found.onset_s == pytest.approx(2.0, abs=0.05)
+    assert found.onset_s == pytest.approx(2.0, abs=0.15)
     assert found.size == pytest.approx(0.6, abs=0.2)
 
 

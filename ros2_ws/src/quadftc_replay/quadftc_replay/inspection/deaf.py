@@ -37,7 +37,7 @@ AROUND = 2.0  # s
 def deaf_findings(flight: Flight) -> list[Found]:
     """Name the first axis of the main gyro on which torques are not answered."""
     torque = torque_of(flight)
-    if torque is None or flight.gyro is None or torque.flying.sum() < LEAST_FLOWN:
+    if torque is None or flight.gyro is None:
         return []
     name, gyro = flight.gyro
     flying = flight.in_flight(gyro.time)

@@ -9,6 +9,8 @@ the torque that is asked for less what inertia, the rotors' lag and damping take
 healthy flight. Rotor i that loses the share s moves r by s B_i u_i. J, L and D (roll, pitch) are fitted to
 the flight before. A vehicle goes out of control in this direction, too: the controller asks for one turn and
 gets the opposite.
+
+Where nobody knows the layout, the model of `identification` tells it.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from numpy.typing import NDArray
 
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.rotor_trim import effects
+from quadftc_replay.inspection.identification import Identified, drive_of
+from quadftc_replay.inspection.rotor_trim import effects, normalised
 from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask
 
 WINDOWS = (0.15, 0.3, 1.0)  # s; over which r has moved
@@ -107,12 +110,21 @@ def fast_commands(log: FlightLog) -> Signal | None:
 def torque_of(flight: Flight) -> Torque | None:
     """Put commands and gyro together; None where one of them, or the layout, is missing."""
     commands, layout = fast_commands(flight.log), effects(flight.log)
-    if (
-        commands is None
-        or layout is None
-        or flight.gyro is None
-        or commands.value.shape[1] != layout.shape[1]
-    ):
+    if commands is None or layout is None or commands.value.shape[1] != layout.shape[1]:
+        return None
+    return _put_together(flight, commands, layout[:2])
+
+
+def torque_by_model(flight: Flight, model: Identified) -> Torque | None:
+    """Put what drives the rotors and the gyro together, by the layout of a model; None: it has none."""
+    drive = drive_of(flight.log)
+    if drive is None or model.source == "torque_command" or not model.usable[:2].all():
+        return None
+    return _put_together(flight, drive[1], normalised(model.gain[:, :2].T))
+
+
+def _put_together(flight: Flight, commands: Signal, layout: Floats) -> Torque | None:
+    if flight.gyro is None:
         return None
     gyro = flight.gyro[1]
     stride = max(1, round(commands.rate / FASTEST))
@@ -120,16 +132,18 @@ def torque_of(flight: Flight) -> Torque | None:
     time, value = commands.time[whole][::stride], commands.value[whole][::stride]
     inside = (time > gyro.time[0]) & (time < gyro.time[-1])
     time, value = time[inside], value[inside]
-    if len(time) < 30 or gyro.rate < 5.0:
+    if len(time) < LEAST_FLOWN or gyro.rate < 5.0:
         return None
-    asked = value @ layout[:2].T
+    asked = value @ layout.T
     half = 0.5 * max(float(np.median(np.diff(time))), 2.0 / gyro.rate)
     rates = Signal(gyro.time, np.nan_to_num(gyro.value[:, :2]))
     later, sooner, now = rates.at(time + half), rates.at(time - half), rates.at(time)
     alpha = (later - sooner) / (2.0 * half)
     columns = np.stack([alpha, np.gradient(asked, time, axis=0), now], axis=-1)
     flying = flight.in_flight(time) & (time < flight.until)
-    return Torque(time, value, asked, columns, flying, layout[:2])
+    if flying.sum() < LEAST_FLOWN:
+        return None
+    return Torque(time, value, asked, columns, flying, layout)
 
 
 def fit(torque: Torque, moved: Floats) -> tuple[Floats, Floats]:
@@ -159,16 +173,12 @@ def fit(torque: Torque, moved: Floats) -> tuple[Floats, Floats]:
     return found, covariance
 
 
-def find_step(flight: Flight) -> tuple[RotorStep | None, float | None]:
+def find_step(flight: Flight, torque: Torque) -> tuple[RotorStep | None, float]:
     """Find the first rotor that lost thrust; and what share of any rotor's thrust would show.
 
-    The share is None where rotors cannot be judged so.
     What comes after a loss spoils the model. So models of longer and longer parts of the flight look for one,
     and it has to show with the model of what came before it, too.
     """
-    torque = torque_of(flight)
-    if torque is None or torque.flying.sum() < LEAST_FLOWN:
-        return None, None
     shows = _share_that_shows(torque)
     ends = np.quantile(torque.time[torque.flying], PARTS).tolist()
     for end in ends:

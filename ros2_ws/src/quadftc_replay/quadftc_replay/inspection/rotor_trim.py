@@ -109,10 +109,15 @@ def effects(log: FlightLog) -> Floats | None:
     places, signs = log.rotor_positions, log.rotor_yaw_signs
     if places is None or signs is None:
         return None
-    rows = np.stack([places[:, 1], -places[:, 0], signs])
+    rows = normalised(np.stack([places[:, 1], -places[:, 0], signs]))
+    return rows if np.isfinite(rows).all() else None
+
+
+def normalised(rows: Floats) -> Floats:
+    """Rows (k, n) of length 1 that rotors together do not move; NaN where all rotors do the same."""
     rows = rows - rows.mean(axis=1, keepdims=True)
     size = np.linalg.norm(rows, axis=1, keepdims=True)
-    return rows / size if np.all(size > 0.0) else None
+    return np.divide(rows, size, out=np.full_like(rows, np.nan), where=size > 0.0)
 
 
 def find_weak(trim: Trim, healthy: Trim | None, layout: Floats | None) -> Weak | None:

@@ -9,18 +9,10 @@ import numpy as np
 
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, prepare, row_means
-from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.identification import (
-    Grid,
-    Identified,
-    drive_of,
-    identify,
-    in_blocks,
-    make_grid,
-)
-from quadftc_replay.inspection.rotor_loss import SCORE, Loss, search_loss, turns_as_without, unexplained
+from quadftc_replay.inspection.found import CERTAIN, Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.identification import STANDS, Identified, identify
 from quadftc_replay.inspection.rotor_step import LEVEL as STEP_LEVEL
-from quadftc_replay.inspection.rotor_step import RotorStep, find_step
+from quadftc_replay.inspection.rotor_step import RotorStep, find_step, torque_by_model, torque_of
 from quadftc_replay.inspection.rotor_trim import (
     SHARPER,
     Weak,
@@ -33,7 +25,6 @@ from quadftc_replay.inspection.verdict import NotJudged
 from quadftc_replay.inspection.whitening import Floats, runs_of
 
 AT_ONCE = 0.15  # s; within which a controller stops the opposite rotor
-STANDS = 0.25  # 1; of the usual speed of the others
 STILL_FLYING = 0.7  # 1; of their usual speed, that the others have meanwhile
 FALLS = 3.0  # s; that a flight goes on after what is judged, as in a crash
 SLOWS = 0.3  # 1; of the steepest fall of its speed, at which the fall begins
@@ -63,16 +54,16 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
     if log.rotor_speeds is None and log.rotor_commands is None and log.torque_command is None:
         return Rotors([], None, False, [_not_judged("neither rotor commands nor speeds are logged")])
     has_rotors = log.rotor_speeds is not None or log.rotor_commands is not None
-    step, shows = find_step(flight)
+    torque, model = torque_of(flight), None
+    if torque is None:
+        model = identify(flight)
+        torque = None if model is None else torque_by_model(flight, model)
+    step, shows = (None, None) if torque is None else find_step(flight, torque)
+    can_see_loss = step is not None or (shows is not None and shows < HALF)
     standing = list(_standing(flight))
     stands = (each for each in standing if each.finding.component == "rotor")
     stopped = min(stands, key=lambda each: each.finding.onset_s, default=None)
-    if shows is not None:
-        lost, model, turns = None if step is None else _step_found(step), None, False
-        can_see_loss = step is not None or shows < HALF
-    else:
-        lost, model, turns, can_see_loss = _by_free_gains(flight, stopped)
-    found = _first(stopped, lost, turns)
+    found = _first(stopped, None if step is None else _step_found(step))
     found += [each for each in standing if each.finding.component != "rotor"]
     trim, missing = trim_of(flight), list[NotJudged]()
     if trim is not None:
@@ -86,29 +77,6 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
     if not can_see_loss:
         missing.append(_not_judged(_why_no_loss(flight, has_rotors, model, shows)))
     return Rotors(found, model, has_rotors and can_see_loss, missing)
-
-
-def _by_free_gains(
-    flight: Flight, stopped: Found | None
-) -> tuple[Found | None, Identified | None, bool, bool]:
-    """Look for a lost rotor where nobody knows the layout: by gains of each rotor that are fitted to the log.
-
-    Returns it, the model, whether the vehicle turns as without the rotor that stands, and whether it shows.
-    """
-    drive = drive_of(flight.log)
-    grid = None if drive is None else make_grid(flight, drive[1])
-    if grid is None or drive is None:
-        return None, None, False, False
-    if drive[0] == "torque_command":
-        return None, identify(drive[0], grid, in_blocks(grid)), False, False
-    loss, model = search_loss(drive[0], grid)
-    if model is None:
-        return None, None, False, False
-    lost, turns = None if loss is None else _loss_found(flight, grid, model, loss), False
-    if stopped is not None:
-        moment = min(each.finding.onset_s for each in (stopped, lost) if each is not None)
-        turns = turns_as_without(grid, model, int(stopped.finding.element) - 1, moment)
-    return lost, model, turns, bool(model.usable[:2].all())
 
 
 def _why_no_loss(flight: Flight, has_rotors: bool, model: Identified | None, shows: float | None) -> str:
@@ -151,12 +119,8 @@ def _step_found(step: RotorStep) -> Found:
     return Found(finding, curve_around(title, "1", step.time, lines, span))
 
 
-def _first(stopped: Found | None, lost: Found | None, turns: bool) -> list[Found]:
-    """Keep the rotor that failed first: a controller that flies on stops others on purpose.
-
-    It may stop them at once; so of two at the same time, the one that stands is to blame only if the vehicle
-    ``turns`` as it does without that one.
-    """
+def _first(stopped: Found | None, lost: Found | None) -> list[Found]:
+    """Keep the rotor that failed first: a controller that flies on stops others, perhaps at once."""
     if stopped is None or lost is None:
         return [each for each in (stopped, lost) if each is not None]
     early, late = sorted((stopped, lost), key=lambda each: each.finding.onset_s)
@@ -164,9 +128,7 @@ def _first(stopped: Found | None, lost: Found | None, turns: bool) -> list[Found
         said = tuple(dict.fromkeys([*stopped.finding.evidence, *lost.finding.evidence]))
         finding = stopped.finding.model_copy(update={"onset_s": early.finding.onset_s, "evidence": said})
         return [Found(finding, stopped.curve or lost.curve)]
-    if late.finding.onset_s - early.finding.onset_s < AT_ONCE:
-        return [stopped if turns else lost]
-    return [early]
+    return [lost if late.finding.onset_s - early.finding.onset_s < AT_ONCE else early]
 
 
 def _not_judged(reason: str) -> NotJudged:
@@ -274,36 +236,6 @@ def _asked_share(log: FlightLog, rotor: int, start: float, end: float) -> float 
     if not len(own) or not len(others):
         return None
     return float(own.mean() / max(float(others.mean()), 1e-9))
-
-
-def _loss_found(flight: Flight, grid: Grid, model: Identified, loss: Loss) -> Found:
-    after = grid.time > loss.onset
-    said = [
-        f"from {loss.onset:.2f} s on the vehicle turns as it does without {100 * loss.share:.0f} % of its"
-        f" thrust, {np.sqrt(loss.score):.0f} standard deviations",
-        f"by a model from this log, with R² {model.r2[0]:.2f} in roll and {model.r2[1]:.2f} in pitch",
-    ]
-    if after.sum() > 10:
-        change = grid.inputs[after][:50].mean(axis=0) / np.maximum(grid.inputs[~after].mean(axis=0), 1e-9)
-        said.append(f"it is driven at {100 * change[loss.rotor]:.0f} % of what it was before")
-    other = () if loss.second is None else (f"rotor/{loss.second + 1}",)
-    finding = make_finding(
-        *("rotor", str(loss.rotor + 1), "off" if loss.share > ALL_OF_IT else "loss", loss.onset),
-        size=min(loss.share, 1.0),
-        sigma=loss.sigma,
-        unit="1",
-        probability=confidence(np.sqrt(loss.score), np.sqrt(SCORE)) * (0.6 if other else 1.0),
-        ambiguous_with=other,
-        evidence=tuple(said),
-    )
-    return Found(finding, _unexplained_curve(grid, model, loss.onset))
-
-
-def _unexplained_curve(grid: Grid, model: Identified, onset: float) -> Curve:
-    rest = unexplained(grid, model)
-    lines = {name: rest[:, k] for k, name in enumerate(("roll", "pitch", "yaw")) if model.usable[k]}
-    title = "angular acceleration that the rotors do not explain"
-    return curve_around(title, "rad/s²", grid.time, lines, (onset - AROUND, onset + AROUND))
 
 
 def _weak_found(flight: Flight, weak: Weak, has_baseline: bool) -> Found:
