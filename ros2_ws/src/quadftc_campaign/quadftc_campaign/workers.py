@@ -17,12 +17,14 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from quadftc_campaign.batch.engine import JAX, Progress
 from quadftc_campaign.errors import CampaignError
+
+T = TypeVar("T")
 
 RETRIES = 3  # processes lost one after the other, without a task done between them
 THREADS = "NPROC"  # so many threads has JAX
@@ -39,7 +41,7 @@ class Workers:
         self.count = count
         self._pool = self._new_pool()
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> futures.Future[Any]:
+    def submit(self, function: Callable[..., T], *arguments: Any) -> futures.Future[T]:
         """Have a process call a function; it is started if need be, deaf to Ctrl-C."""
         with _deaf_children():
             return self._pool.submit(function, *arguments)
@@ -82,10 +84,10 @@ def devices(workers: Workers, engine: str) -> str:
 
 def run_tasks(
     workers: Workers,
-    function: Callable[..., Any],
+    function: Callable[..., T],
     arguments: Sequence[tuple[Any, ...]],
     progress: Progress = lambda samples: None,
-) -> Iterator[tuple[int, Any]]:
+) -> Iterator[tuple[int, T]]:
     """Call a function in the workers; yield place and result of each call as it is done.
 
     Its last argument is like ``progress``, the others are given. What it raises is raised here; a
@@ -97,7 +99,7 @@ def run_tasks(
         np.zeros(max(len(left), 1)).tofile(file)
         samples = np.memmap(file, np.float64, "r")
         while left:
-            pending: dict[futures.Future[Any], int] = {}
+            pending: dict[futures.Future[T], int] = {}
             try:
                 for place, given in left.items():
                     pending[workers.submit(_call, function, given, file, place)] = place
@@ -134,7 +136,7 @@ def _begin(cores: int) -> None:
     os.environ[THREADS] = str(cores)
 
 
-def _call(function: Callable[..., Any], arguments: tuple[Any, ...], file: Path, place: int) -> Any:
+def _call(function: Callable[..., T], arguments: tuple[Any, ...], file: Path, place: int) -> T:
     """In a process: call a function that says how many samples it has flown."""
     samples = np.memmap(file, np.float64, "r+")
     samples[place] = 0.0

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -22,7 +23,7 @@ from quadftc_theory.checks import CheckReport, check_run, check_scenario
 from quadftc_theory.conditions import Verdict
 
 if TYPE_CHECKING:
-    from quadftc_theory.isolability import IsolabilityResult
+    from quadftc_theory.isolability import IsolabilityResult, Mask
 
 COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.DEPENDS: "yellow"}
 
@@ -137,7 +138,7 @@ def isolability_table(result: IsolabilityResult) -> Table:
     return table
 
 
-def _marks(structure: Any, rank: Any, strong: Any) -> Any:
+def _marks(structure: Mask, rank: Mask, strong: Mask) -> NDArray[np.str_]:
     lasting = np.where(strong, LASTING, CHANGING)
     return np.where(structure, np.where(rank, lasting, CANCELLED), NEVER)
 

@@ -34,7 +34,7 @@ class LiveGraph(NodeHost):
         self.namespace = namespace.strip("/")
         name = f"quadftc_{os.getpid()}"
         options = {"context": self._context, "use_global_arguments": False, "enable_rosout": False}
-        self.node: Node = self._host(Node(name, **options))
+        self.node = self._host(Node(name, **options))
 
     def spin(self, duration: float) -> None:
         """Serve the node for a time [s]."""

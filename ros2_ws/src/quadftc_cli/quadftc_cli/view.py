@@ -17,6 +17,7 @@ from quadftc_cli.live_page.picture import MODES, amount, level_of
 from quadftc_cli.screen import plain_table
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import AXES
+from quadftc_msgs.msg import ComponentFault
 
 BARS = "▁▂▃▄▅▆▇█"
 PERIOD = 0.25  # s; between two points of a curve
@@ -121,6 +122,6 @@ class View:
         return lines
 
 
-def _finding(fault: Any) -> str:
+def _finding(fault: ComponentFault) -> str:
     size = amount(fault.size, fault.std_dev, fault.unit)
     return f"[red]{fault.component} {fault.element}[/] {fault.kind} {size}"

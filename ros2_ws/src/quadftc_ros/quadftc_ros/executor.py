@@ -14,7 +14,7 @@ import weakref
 from collections.abc import Callable, Generator, Sequence
 from operator import attrgetter
 from types import FrameType
-from typing import Any, Protocol, Self, cast
+from typing import Any, Protocol, Self, TypeVar, cast
 
 import rclpy
 from rclpy.context import Context
@@ -30,6 +30,8 @@ from quadftc_ros.node import GraphNode
 from quadftc_ros.node_help import help_text, running_line, wants_help
 from quadftc_ros.reach import enclave_arguments
 from quadftc_ros.starting import STOPPING
+
+Hosted = TypeVar("Hosted", bound=Node)
 
 EXECUTORS = ("events", "single")
 LAUNCHER = "QUADFTC_LAUNCHER"  # environment variable: the process whose end ends this one
@@ -80,7 +82,7 @@ class NodeHost:
         # what the process was called with is not meant for the nodes
         self._context.init(args=["--ros-args", *enclave_arguments(name)])
         self._executor = make_executor(executor, self._context)
-        self._nodes: list[Any] = []
+        self._nodes: list[Node] = []
 
     def __enter__(self) -> Self:
         return self
@@ -88,7 +90,7 @@ class NodeHost:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _host(self, node: Any) -> Any:
+    def _host(self, node: Hosted) -> Hosted:
         """Let the executor serve a node of the context."""
         self._executor.add_node(node)
         self._nodes.append(node)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from quadftc_model.parameters import parameter
 from quadftc_model.samples import PositionSample, is_usable
 from quadftc_model.stepper import seconds
 from quadftc_ros.conversions import Floats
+
+M = TypeVar("M")  # what comes with a sample of the IMU
 
 SPEEDS_AGE = 0.1  # s; real time: measured speeds that differ by more from a sample are not of its time
 DEPTH = 64  # samples that may be incomplete at a time; older ones are given up
@@ -27,11 +29,11 @@ class StampJoin:
     def __init__(self, inputs: Sequence[str], callback: Callable[..., None]) -> None:
         self._inputs = tuple(inputs)
         self._callback = callback
-        self._waiting: dict[int, dict[str, Any]] = {}
+        self._waiting: dict[int, dict[str, object]] = {}
         self._newest = dict.fromkeys(self._inputs, -1)
         self.given_up = 0
 
-    def put(self, name: str, stamp_ns: int, message: Any) -> None:
+    def put(self, name: str, stamp_ns: int, message: object) -> None:
         """Add a message [stamp in ns]; calls back if it completes its sample."""
         if stamp_ns <= self._newest[name]:
             for known in [known for known in self._waiting if known >= stamp_ns]:
@@ -52,7 +54,7 @@ class StampJoin:
 NO_TORQUE = np.zeros(3)  # N m
 
 
-class CommandGate:
+class CommandGate(Generic[M]):
     """Call ``callback(stamp_ns, message, command)`` for IMU samples, with the command that acted before each.
 
     In real time that is the latest. In lock-step a sample waits for the command of the sample before; a stamp
@@ -63,7 +65,7 @@ class CommandGate:
     def __init__(
         self,
         mode: str,
-        callback: Callable[[int, Any, Any], None],
+        callback: Callable[[int, M, Any], None],
         count: Callable[[str], None],
         topic: str = "torque/command",
         first: Floats | None = NO_TORQUE,
@@ -71,7 +73,7 @@ class CommandGate:
         self._lockstep = mode == "lockstep"
         self._callback, self._count, self._topic = callback, count, topic
         self._first = first
-        self._samples: deque[tuple[int, Any]] = deque(maxlen=DEPTH)
+        self._samples: deque[tuple[int, M]] = deque(maxlen=DEPTH)
         self._newest_ns = -1
         self._begin()
 
@@ -80,7 +82,7 @@ class CommandGate:
         self._command, self._command_stamp_ns = self._first, -1
         self._awaited_ns: int | None = None  # stamp of the last sample passed on
 
-    def put_sample(self, stamp_ns: int, message: Any) -> None:
+    def put_sample(self, stamp_ns: int, message: M) -> None:
         """Add a sample [stamp in ns]."""
         if not self._lockstep:
             self._callback(stamp_ns, message, self._command)
@@ -116,7 +118,7 @@ class PlaceParameters:
     )
 
 
-class PlaceGate:
+class PlaceGate(Generic[M]):
     """Call ``callback(stamp_ns, message, place)`` for IMU samples, with what the position sensor says then.
 
     ``place`` is None where nothing came. In real time it is what came last, once. In lock-step a sample waits
@@ -128,7 +130,7 @@ class PlaceGate:
         mode: str,
         period: float,
         delay: float,
-        callback: Callable[[int, Any, PositionSample | None], None],
+        callback: Callable[[int, M, PositionSample | None], None],
     ) -> None:
         self._lockstep = mode == "lockstep"
         self._period_ns, self._delay_ns = (round(each * 1e9) for each in (period, delay))
@@ -138,10 +140,10 @@ class PlaceGate:
 
     def _begin(self, stamp_ns: int) -> None:
         self._first_ns = stamp_ns
-        self._samples: deque[tuple[int, Any]] = deque(maxlen=DEPTH)
+        self._samples: deque[tuple[int, M]] = deque(maxlen=DEPTH)
         self._places: dict[int, PositionSample] = {}
 
-    def put_sample(self, stamp_ns: int, message: Any) -> None:
+    def put_sample(self, stamp_ns: int, message: M) -> None:
         """Add a sample of the IMU [stamp in ns]."""
         if not self._lockstep:
             newest = self._places.popitem()[1] if self._places else None
@@ -178,19 +180,19 @@ class PlaceGate:
             self._callback(stamp_ns, message, place)
 
 
-class SpeedGate:
+class SpeedGate(Generic[M]):
     """Call ``callback(stamp_ns, message, speeds)`` for IMU samples, with the rotor speeds measured with each.
 
     In real time these are the latest, None if they are older than `SPEEDS_AGE` or cannot be used. In
     lock-step a sample waits for those of its stamp.
     """
 
-    def __init__(self, mode: str, callback: Callable[[int, Any, Floats | None], None]) -> None:
+    def __init__(self, mode: str, callback: Callable[[int, M, Floats | None], None]) -> None:
         self._callback = callback
         self._join = StampJoin(("sample", "speeds"), callback) if mode == "lockstep" else None
         self._latest: tuple[int, Floats] | None = None
 
-    def put_sample(self, stamp_ns: int, message: Any) -> None:
+    def put_sample(self, stamp_ns: int, message: M) -> None:
         """Add a sample [stamp in ns]."""
         if self._join is not None:
             self._join.put("sample", stamp_ns, message)

@@ -144,7 +144,7 @@ class LiveFlight(NodeHost):
         }
         overrides = [Parameter(name, value=value) for name, value in given.items()]
         options = {"context": self._context, "parameter_overrides": overrides, "use_global_arguments": False}
-        self._node: SitlNode = self._host(SitlNode(plan, physics, pilot.journal, tap=live.tap, **options))
+        self._node = self._host(SitlNode(plan, physics, pilot.journal, tap=live.tap, **options))
         self._serve(time.monotonic() + TO_BE_FOUND)
         if crowd := crowded_topics(self._node.count_publishers, "free_flight"):
             self.close()

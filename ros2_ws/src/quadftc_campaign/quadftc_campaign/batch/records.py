@@ -77,7 +77,7 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
         if np.ndim(values):
             record |= {f"{name}.{axis}": number(value) for axis, value in zip(AXES, values, strict=True)}
         else:
-            record[name] = number(values)
+            record[name] = number(float(values))
     return record
 
 
@@ -216,7 +216,7 @@ def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> d
     }
 
 
-def _mean(total: Floats, count: Any) -> Floats:
+def _mean(total: Floats, count: Floats) -> Floats:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 

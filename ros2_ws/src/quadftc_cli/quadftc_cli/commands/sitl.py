@@ -6,13 +6,18 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from rich.console import Console
 from typer import Argument, Option
 
 from quadftc_cli.commands import BAD_INPUT, INTERNAL, options
 from quadftc_cli.screen import Bars, console, plain_table, say
+
+if TYPE_CHECKING:
+    from quadftc_sitl.catalogue import Job
+    from quadftc_sitl.plan import SitlPlan
 
 SAID = 12  # words of the autopilot on the screen
 
@@ -113,8 +118,8 @@ def sitl(
 
 
 def _fly(
-    todo: Sequence[Any], jobs: int, resume: bool, screen: Any, shown: tuple[Any, int, bool] | None
-) -> list[Any]:
+    todo: Sequence[Job], jobs: int, resume: bool, screen: Console, shown: tuple[SitlPlan, int, bool] | None
+) -> list[dict[str, Any]]:
     """Fly; with plan, port and whether a browser opens, the only flight in real time on the live page."""
     from quadftc_sitl.catalogue import fly_jobs
 
@@ -131,7 +136,7 @@ def _fly(
 def _show(
     summaries: Sequence[Mapping[str, Any]],
     out: Path,
-    screen: Any,
+    screen: Console,
     junit: Path | None,
     drawn: Mapping[str, Mapping[str, Any]] | None,
 ) -> int:

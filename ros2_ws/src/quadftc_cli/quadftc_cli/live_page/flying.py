@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from quadftc_cli.live import LiveGraph
 from quadftc_cli.live_page.attached import follow, page_of_running, vehicles_of
@@ -157,7 +156,7 @@ def show_running(namespace: str, port: int, opens: bool) -> int:
     return 0
 
 
-def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int, ...]]) -> int:
+def fly_live(wish: Wish, port: int, opens: bool, how: tuple[str, int, tuple[int, ...]]) -> int:
     """Fly, show it, and return the exit code."""
     options = RunOptions(mode="realtime", namespace=wish.namespace, scheduling=Scheduling(*how))
     scenario = scenario_of(wish)

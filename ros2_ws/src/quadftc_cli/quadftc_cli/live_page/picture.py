@@ -10,15 +10,16 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from quadftc_bags.cdr.message import NANOSECONDS, read_message
 from quadftc_cli.live_page.feed import Frame
 from quadftc_fdi.diagnosis import COMPONENTS, elements_of
 from quadftc_model.rotations import euler_from_quaternion
-from quadftc_model.samples import STARTING, SUSPECT
+from quadftc_model.samples import FAULTY, STARTING, SUSPECT
 from quadftc_model.vehicle import Vehicle
-from quadftc_msgs.msg import ControlStatus, Diagnosis, FaultStatus, RotorStatus
+from quadftc_msgs.msg import ComponentFault, ControlStatus, Diagnosis, FaultStatus, RotorStatus
+from quadftc_ros.conversions import Floats
 from quadftc_ros.latest import SOURCES, Latest
 from quadftc_ros.rotor_wire import RotorConditionReader
 from quadftc_ros.topics import PlantKind
@@ -54,7 +55,7 @@ class Picture:
         self.frames = 0
         self.over = False  # the flight has ended
         self._condition = RotorConditionReader(len(vehicle.rotors.positions))
-        self._statuses: dict[str, Any] = {}
+        self._statuses: dict[str, DiagnosticStatus] = {}
         self.begin_ns = 0  # stamp at which the flight began; 0: that of the first sample that comes
         self.namespace, self.namespaces = "", frozenset[str]()  # of the vehicle; of all vehicles
         self.silent: frozenset[str] = frozenset()  # topics on which nothing ever comes
@@ -124,7 +125,7 @@ class Picture:
         ]
         return [float(value) for value in np.concatenate(columns)]
 
-    def _places(self) -> list[Any]:
+    def _places(self) -> list[Floats]:
         """Return where the vehicle shall be, and where it is [m]."""
         if not self.latest.flies:
             return []
@@ -189,11 +190,9 @@ class Picture:
                 }
         return states
 
-    def _fault(self, fault: Any) -> State:
+    def _fault(self, fault: ComponentFault) -> State:
         """Describe a confirmed fault."""
-        name = (
-            "ambiguous" if fault.ambiguous_with else "faulty" if fault.state == fault.FAULTY else "recovering"
-        )
+        name = "ambiguous" if fault.ambiguous_with else "faulty" if fault.state == FAULTY else "recovering"
         onset = (fault.onset.sec * NANOSECONDS + fault.onset.nanosec - self.begin_ns) / NANOSECONDS
         words = f"{fault.kind} {amount(fault.size, fault.std_dev, fault.unit)}, since {onset:.2f} s"
         if fault.ambiguous_with:
@@ -238,7 +237,7 @@ def amount(size: float, std_dev: float, unit: str) -> str:
     return f"{scale * size:.{digits}f}{spread} {unit}"
 
 
-def _estimate(status: Any) -> tuple[Any, Any]:
+def _estimate(status: FaultStatus) -> tuple[Floats, Floats]:
     """Return estimate and standard deviation [rad]; NaN where there is none."""
     estimate, sigma = (np.array([part.x, part.y, part.z]) for part in (status.estimate, status.std_dev))
     return np.where(np.array(status.state) == STARTING, np.nan, estimate), np.where(
@@ -246,10 +245,10 @@ def _estimate(status: Any) -> tuple[Any, Any]:
     )
 
 
-def _or_nothing(vector: Any) -> Any:
+def _or_nothing(vector: Floats | None) -> Floats:
     return NOTHING if vector is None else vector
 
 
-def level_of(status: Any) -> int:
+def level_of(status: DiagnosticStatus) -> int:
     """Return the level of a status, which rclpy gives as a byte."""
     return status.level[0] if isinstance(status.level, bytes) else int(status.level)

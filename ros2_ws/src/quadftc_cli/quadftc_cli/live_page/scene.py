@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from nicegui import ui
+from nicegui.elements.scene.scene_object3d import Object3D
 
 from quadftc_cli.live_page.picture import Picture
 from quadftc_model.rotations import to_earth
 from quadftc_model.shape import LIGHT, ROTOR_HEIGHT, Part, parts_of
+from quadftc_ros.conversions import Floats
 
 TRUTH, MEASURED, CORRECTED = "#30343a", "#d55e00", "#0072b2"  # those of the charts
 GHOSTS = {"measured": MEASURED, "corrected": CORRECTED}
@@ -66,7 +67,7 @@ class VehicleScene:
             self._groups = {role: self._ghost(k, GHOSTS[role]) for k, role in enumerate(GHOSTS)}
             self._groups["truth"] = self._truth()
             if picture.latest.flies:
-                self._target: Any = self.element.sphere(0.06 * self._span).material(TARGET, 0.9)
+                self._target = self.element.sphere(0.06 * self._span).material(TARGET, 0.9)
             else:
                 thick = 0.06 * self._span
                 post = Part("post", "cylinder", (thick, thick, z), (x, y, 0.5 * z), 0.0, LIGHT)
@@ -77,7 +78,7 @@ class VehicleScene:
         )
         self._camera = _Camera(self.element.id, (x, y, z), 0.9 * self._span)
 
-    def show(self, reference: Any) -> None:
+    def show(self, reference: Floats | None) -> None:
         """Put everything where it is now; ``reference`` is the position to be at, None: there is none."""
         latest = self._picture.latest
         attitudes, place = latest.attitudes(), latest.position() + self._lift
@@ -106,7 +107,7 @@ class VehicleScene:
             self.element.box(long, thin, thin).material(GRID).move(0.0, k * GRID_STEP, 0.0)
             self.element.box(thin, long, thin).material(GRID).move(k * GRID_STEP, 0.0, 0.0)
 
-    def _truth(self) -> Any:
+    def _truth(self) -> Object3D:
         """Make the solid vehicle with its thrust."""
         with self.element.group() as group:
             for part in parts_of(self._vehicle):
@@ -115,7 +116,7 @@ class VehicleScene:
             self._arrows = [self._arrow(x, y) for x, y in self._vehicle.rotors.positions.tolist()]
         return group
 
-    def _ghost(self, rank: int, colour: str) -> Any:
+    def _ghost(self, rank: int, colour: str) -> Object3D:
         """Make a ghost: thin arms, a ring around each rotor, and a line along body z.
 
         Arms hide in those of the truth, and rings are around one another, while all agree.
@@ -145,7 +146,7 @@ class VehicleScene:
         mast = self.element.cylinder(radius, radius, length, SMOOTH).rotate(UPRIGHT, 0.0, 0.0)
         mast.material(colour).move(z=0.5 * length)
 
-    def _arrow(self, x: float, y: float) -> tuple[Any, Any]:
+    def _arrow(self, x: float, y: float) -> tuple[Object3D, Object3D]:
         """Make the arrow of a rotor, one metre long; return its shaft and its head."""
         radius = 0.022 * self._span
         with self.element.group().move(x, y, (ROTOR_HEIGHT + 0.01) * self._span):

@@ -57,7 +57,7 @@ class Columns:
         return slice(first, max(first, last))
 
 
-def number(value: Any) -> float | None:
+def number(value: float | np.floating[Any] | None) -> float | None:
     """Return a number that JSON can hold; None for NaN and infinity."""
     return None if value is None or not np.isfinite(value) else float(value)
 
@@ -67,7 +67,7 @@ def finite(values: Floats) -> Floats:
     return values[np.isfinite(values)]
 
 
-def _figure(compute: Callable[[Floats], Any]) -> Figure:
+def _figure(compute: Callable[[Floats], float | np.floating[Any]]) -> Figure:
     """Return a figure of the finite samples."""
 
     def figure(values: ArrayLike) -> float | None:

@@ -181,7 +181,7 @@ class JudgedSensors:
     def _delay(self, says: Mask, rows: slice, start: float) -> float | None:
         """Return when it is first said in some rows, since a start [s]; None: never."""
         hits = np.flatnonzero(says[rows])
-        return number(self._time[rows.start + hits[0]] - start) if len(hits) else None
+        return number(float(self._time[rows.start + hits[0]]) - start) if len(hits) else None
 
 
 def attitude_error(flight: Flight) -> Floats:

@@ -86,7 +86,7 @@ class ComposedGraph(Graph):
                 return self._serve(self._slice.spin, progress)
         if not self.wait_until_connected(progress):
             return 0.0
-        scheduling, plants = self._plan.scheduling, [plant for plant, _ in self._watchers]
+        scheduling, plants = self._plan.scheduling, [vehicle["plant"] for vehicle in self._vehicles]
         pace = Pace(self._executor, plants, poll=scheduling.wait == "poll")
         spin = self._slice.spin if self._plan.mode == "lockstep" else pace.spin
         try:
@@ -109,5 +109,5 @@ class ComposedGraph(Graph):
         return [f"{name}: {lack}" for name, missing in lacks for lack in missing]
 
     def _state(self) -> tuple[bool, int]:
-        flights = [plant.flight for plant, _ in self._watchers]
+        flights = [vehicle["plant"].flight for vehicle in self._vehicles]
         return all(flight.finished for flight in flights), sum(flight.emitted for flight in flights)

@@ -6,13 +6,14 @@ from __future__ import annotations
 import abc
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from quadftc_flight.graph.plan import CONNECT_TIMEOUT, SLICE, STALL_TIMEOUT, GraphError, Progress, always
-from quadftc_ros.executor import NodeHost, Slice
+from quadftc_ros.executor import Hosted, NodeHost, Slice
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import PlantKind, crowded_topics
 
@@ -27,7 +28,7 @@ class Graph(NodeHost, abc.ABC):
         self.exit_code = 0  # the worst of the processes, once they were stopped
         self._slice = Slice(self._executor)
         self._begun = False  # whether there is anything to be kept
-        self._watchers: list[tuple[Any, PlantKind]] = []  # a node of each vehicle, and what it flies
+        self._watchers: list[tuple[Node, PlantKind]] = []  # a node of each vehicle, and what it flies
 
     @abc.abstractmethod
     def _missing(self) -> list[str]:
@@ -42,12 +43,12 @@ class Graph(NodeHost, abc.ABC):
 
     def _add_node(
         self,
-        node_class: type[Any],
+        node_class: Callable[..., Hosted],
         namespace: str,
-        parameters: Any,
+        parameters: Mapping[str, Any],
         remaps: Sequence[str] = (),
         **options: Any,
-    ) -> Any:
+    ) -> Hosted:
         """Make a node and let the executor serve it."""
         made = node_class(
             context=self._context,
