@@ -15,14 +15,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from quadftc_model.rotations import quaternion_product
 from quadftc_replay.flight_log import Signal
-from quadftc_replay.inspection.whitening import GAP, TO_SIGMA
-
-Floats = NDArray[np.float64]
+from quadftc_replay.inspection.whitening import GAP, TO_SIGMA, Floats, Mask
 
 FASTEST = 400.0  # Hz; attitudes beyond are thinned out
 ROUNDS = 6  # of the reweighted fit
@@ -106,9 +103,7 @@ def _turns(q: Floats) -> Floats:
     return turn[:, :3] * np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
 
 
-def _fit(
-    difference: Floats, theta: Floats, change: Floats, dt: Floats, good: NDArray[np.bool_]
-) -> tuple[Floats, Floats]:
+def _fit(difference: Floats, theta: Floats, change: Floats, dt: Floats, good: Mask) -> tuple[Floats, Floats]:
     """Take out scale and delay, axis by axis; return the rest (n, 3), bias included, and the scales (3,)."""
     rest, scale = np.zeros_like(difference), np.zeros(3)
     count = max(3, round(SLOW / float(np.median(dt))))

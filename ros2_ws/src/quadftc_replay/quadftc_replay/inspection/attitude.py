@@ -6,17 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.flight import Flight, Interval
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.whitening import TO_SIGMA, find_steps, is_pulse, peaks
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.steps import Step, join_ends, steps_beyond
+from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask, find_steps
 
 ANGLES = ("roll", "pitch", "yaw")
 DEGREE = np.pi / 180.0  # rad
@@ -33,20 +30,7 @@ CREEP_LEVEL = 8.0  # times the scatter of the means
 GYRO_CREEP = 0.2  # rad/s; no attitude creeps that fast
 KNOWN = 0.5  # 1; share of a window that makes a mean
 HEALTHY = (0.1, 0.5, 0.9)  # 1; shares of the log, one of which is healthy
-AROUND = 1.0  # s
 BETWEEN = 1.0  # s; stretches closer than that have one cause
-SAME = 0.5  # 1
-
-
-class Jump(NamedTuple):
-    """A jump of the attitude."""
-
-    axis: int
-    onset: float
-    end: float | None
-    size: float  # rad
-    sigma: float
-    score: float
 
 
 class Creep(NamedTuple):
@@ -67,27 +51,18 @@ class Owner(NamedTuple):
     witness: str  # who says so
 
 
-def find_jumps(agreement: Agreement, watched: Mask, smallest: float) -> list[Jump]:
-    """Find the jumps on each axis that last."""
+def find_jumps(agreement: Agreement, watched: Mask, smallest: float) -> list[Step]:
+    """Find the jumps on each axis that last [rad]."""
     time, offset = agreement.time, np.cumsum(agreement.rest, axis=0)
-    found: list[Jump] = []
+    found: list[Step] = []
     for axis in range(3):
         steps = find_steps(time, offset[:, axis], np.ones(len(time), np.bool_), FLOOR)
-        size, sigma = steps.size, steps.sigma
-        score = np.where(watched & (np.abs(size) > smallest), np.abs(size) / sigma, 0.0)
-        joined: list[Jump] = []
-        for k in (row for row in peaks(score, LEVEL, 12) if not is_pulse(steps, row, 12)):
-            jump = Jump(axis, float(time[k]), None, float(size[k]), float(sigma[k]), float(score[k]))
-            open_ = joined[-1] if joined and joined[-1].end is None else None
-            if open_ is not None and abs(jump.size + open_.size) < SAME * abs(open_.size):
-                joined[-1] = open_._replace(end=jump.onset)
-            else:
-                joined.append(jump)
-        found += [each for each in joined if each.end is None or each.end - each.onset > PULSE]
+        jumps = steps_beyond(time, steps, axis, watched, smallest, LEVEL)
+        found += join_ends([each for each in jumps if not each.is_pulse], PULSE)
     return sorted(found, key=lambda jump: jump.onset)
 
 
-def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> list[Creep]:
+def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> list[Creep]:
     """Find stretches in which the rates differ for longer than any jump explains."""
     time, usual = agreement.time, float(np.median(agreement.dt))
     moments = sorted([each.onset for each in jumps] + [each.end for each in jumps if each.end is not None])
@@ -165,7 +140,7 @@ def _touch(creep: Creep, other: Creep) -> bool:
 
 def attitude_findings(
     agreement: Agreement,
-    jumps: Sequence[Jump],
+    jumps: Sequence[Step],
     creeps: Sequence[Creep],
     is_own: bool,
     owner: Callable[[Creep], Owner | None] = lambda _: None,
@@ -189,28 +164,22 @@ def attitude_findings(
             probability=confidence(jump.score, LEVEL),
             evidence=(said,),
         )
-        span = (jump.onset - AROUND, (jump.end or jump.onset) + AROUND)
         lines = {"attitude less integrated gyro": offset[:, jump.axis]}
-        yield Found(finding, curve_around(f"attitude {ANGLES[jump.axis]}", "deg", time, lines, span))
+        yield make_found(finding, Curve(f"attitude {ANGLES[jump.axis]}", "deg", time, lines))
     for creep, whose in ((each, owner(each)) for each in creeps):
         corrects = is_own and creep.axis == 2 and whose is not None and whose.component == "attitude"
         if not corrects:  # estimators correct their heading in flight, by compass or satellites
             yield _creep_found(creep, agreement, is_own, whose)
 
 
-def watch(flight: Flight, agreement: Agreement) -> Mask:
-    """Whether attitude and gyro are compared at each time (n,)."""
-    return flight.in_flight(agreement.time) & ~flight.near_impact(agreement.time)
-
-
 def disagreements(
     flight: Flight, agreement: Agreement, is_own: bool | None
-) -> tuple[list[Jump], list[Creep]]:
+) -> tuple[list[Step], list[Creep]]:
     """Find jumps and creeps; ``is_own``: the attitude is computed from the gyro, None: not known.
 
     Estimators reset their heading in flight, by compass or satellites: such jumps in yaw are left out.
     """
-    watched = watch(flight, agreement)
+    watched = flight.is_calm(agreement.time)
     smallest = UNKNOWN_JUMP if is_own is None else (OWN_JUMP if is_own else JUMP)
     jumps = find_jumps(agreement, watched, smallest)
     creeps = find_creeps(agreement, watched, jumps)
@@ -241,7 +210,5 @@ def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: Owner 
         ambiguous_with=() if owner else ("/".join(other),),
         evidence=tuple(said),
     )
-    span = (creep.span.start - 2.0 * AROUND, creep.span.end + 2.0 * AROUND)
-    offset = np.cumsum(agreement.rest[:, creep.axis]) / DEGREE
-    lines = {"attitude less integrated gyro": offset}
-    return Found(finding, curve_around(f"{component} {element}", "deg", agreement.time, lines, span))
+    lines = {"attitude less integrated gyro": np.cumsum(agreement.rest[:, creep.axis]) / DEGREE}
+    return make_found(finding, Curve(f"{component} {element}", "deg", agreement.time, lines))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from quadftc_replay.inspection.flight import Flight, rotor_level
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
 from quadftc_replay.inspection.whitening import Floats, runs_of
 
 FEWEST = 10  # samples
@@ -15,7 +15,6 @@ LEAST = 2.5  # V; of one cell that is empty
 SAG = 0.12  # 1; of the median voltage in flight
 LEFT = 0.25  # 1; share of that by which it has left the usual voltage
 LASTS = 0.3  # s
-AROUND = 5.0  # s
 
 
 def cannot_judge_battery(flight: Flight) -> str | None:
@@ -59,8 +58,7 @@ def battery_findings(flight: Flight) -> Iterator[Found]:
             probability=confidence(1.0 - lowest / usual, SAG),
             evidence=tuple(said),
         )
-        curve = curve_around("battery", "V", battery.time, {"voltage": volts}, (start - AROUND, end + AROUND))
-        yield Found(finding, curve)
+        yield make_found(finding, Curve("battery", "V", battery.time, {"voltage": volts}))
 
 
 def _leaves(time: Floats, volts: Floats, usual: float) -> float:

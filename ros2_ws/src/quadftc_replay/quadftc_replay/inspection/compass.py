@@ -21,8 +21,15 @@ from quadftc_model.rotations import to_body
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import HUBER, ROUNDS, Agreement
 from quadftc_replay.inspection.flight import Flight, Interval, rotor_level
-from quadftc_replay.inspection.found import Curve, Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.gyro import BODY_AXES, component_name
+from quadftc_replay.inspection.found import (
+    BODY_AXES,
+    Curve,
+    Found,
+    component_name,
+    confidence,
+    make_finding,
+    make_found,
+)
 from quadftc_replay.inspection.jumps import JUMP, find_jumps
 from quadftc_replay.inspection.path import attitude_at
 from quadftc_replay.inspection.readings import noise_findings
@@ -37,7 +44,6 @@ TURNED = 0.1  # rad; 6 deg of heading, which compasses reach without a fault
 QUIET = 0.005  # 1; of the field: what every sensor may have as noise, 2.5 mG (HMC5883L: 2 mG)
 STRONG = 0.6  # 1; of the field: what currents may add before ArduPilot's compassmot calls it bad
 SAME = 0.5  # 1; by which jumps differ that have one cause
-AROUND = 3.0  # s
 
 
 class Field(NamedTuple):
@@ -121,8 +127,7 @@ def compass_findings(
 
 def _jumps(flight: Flight, field: Field) -> list[Step]:
     time = field.rest.time
-    watched = flight.in_flight(time) & ~flight.near_impact(time)
-    return find_jumps(field.rest, watched, np.full(len(time), SMALLEST * field.size))[0]
+    return find_jumps(field.rest, flight.is_calm(time), np.full(len(time), SMALLEST * field.size))[0]
 
 
 def _findings(
@@ -159,7 +164,7 @@ def _findings(
             ambiguous_with=("attitude",) if may_be_attitude else (),
             evidence=tuple(said),
         )
-        yield Found(finding, _curve(field, name, unit, step.onset, step.end))
+        yield make_found(finding, _curve(field, name, unit))
     strongest = int(np.argmax(np.abs(field.currents)))
     added, sigma = float(field.currents[strongest]), float(field.sigma[strongest])
     if abs(added) > max(STRONG * field.size, 8.0 * sigma):
@@ -180,7 +185,7 @@ def _findings(
             ambiguous_with=("attitude",) if all_do else (),
             evidence=said,
         )
-        yield Found(finding, _curve(field, name, unit, start, None), True)
+        yield make_found(finding, _curve(field, name, unit), True)
 
 
 def _alike(step: Step, other: Step) -> bool:
@@ -198,7 +203,7 @@ def _attitude_jumps(agreement: Agreement | None, step: Step, field: float) -> bo
     return angle * field > SAME * abs(step.size)
 
 
-def _curve(field: Field, name: str, unit: str, onset: float, end: float | None) -> Curve:
+def _curve(field: Field, name: str, unit: str) -> Curve:
     lines = {axis: field.rest.value[:, k] for k, axis in enumerate(BODY_AXES)}
     title = f"{component_name(COMPONENT, name)} less the field that the attitude expects"
-    return curve_around(title, unit, field.rest.time, lines, (onset - AROUND, (end or onset) + AROUND))
+    return Curve(title, unit, field.rest.time, lines)

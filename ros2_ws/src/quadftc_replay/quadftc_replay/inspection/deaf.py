@@ -10,8 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.gyro import BODY_AXES, component_name
+from quadftc_replay.inspection.found import (
+    BODY_AXES,
+    Curve,
+    Found,
+    component_name,
+    confidence,
+    make_finding,
+    make_found,
+)
 from quadftc_replay.inspection.readings import CALM, moving_noise
 from quadftc_replay.inspection.rotor_step import (
     ASIDE,
@@ -31,7 +38,6 @@ from quadftc_replay.inspection.rotor_step import (
 from quadftc_replay.inspection.whitening import Floats, runs_of
 
 WINDOW = WINDOWS[1]  # s; over which the torque has to be asked for in vain
-AROUND = 2.0  # s
 
 
 def deaf_findings(flight: Flight) -> list[Found]:
@@ -77,10 +83,7 @@ def deaf_findings(flight: Flight) -> list[Found]:
                 probability=confidence(score, 0.5 * ENDED),
                 evidence=said,
             )
-            lines = {"reading": value}
-            span = (onset - AROUND, end + AROUND)
-            title = f"{component_name('gyro', name)} {BODY_AXES[axis]}"
-            return [Found(finding, curve_around(title, "rad/s", gyro.time, lines, span))]
+            return [make_found(finding, Curve(finding.name, "rad/s", gyro.time, {"reading": value}))]
     return []
 
 

@@ -13,15 +13,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import MAIN, FlightLog, Signal
-from quadftc_replay.inspection.whitening import runs_of
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from quadftc_replay.inspection.whitening import Floats, Mask, runs_of
 
 SMOOTH = 0.3  # s; mean of the rotors' level
 FLYING = 0.6  # 1; share of the usual level
@@ -82,6 +78,10 @@ class Flight:
         for start, end in self.intervals:
             inside |= (time >= start) & (time <= end)
         return inside
+
+    def is_calm(self, time: Floats) -> Mask:
+        """Whether the vehicle flies at each time (n,), and there is no impact around it."""
+        return self.in_flight(time) & ~self.near_impact(time)
 
     def near_impact(self, time: Floats) -> Mask:
         """Whether there is an impact around each time (n,)."""

@@ -15,7 +15,7 @@ from quadftc_model.rotations import euler_from_quaternion, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
 from quadftc_replay.inspection.path import attitude_at
 from quadftc_replay.inspection.whitening import Floats, runs_of, scale
 
@@ -28,7 +28,6 @@ FEWEST = 20  # samples
 SAME = 0.2  # 1; by which the sizes of two accelerations may differ
 TURNED = 0.1  # rad; 6 deg of heading, which compasses reach without a fault
 LEVEL = 6.0  # standard deviations
-AROUND = 3.0  # s
 
 
 def flown_findings(flight: Flight) -> Iterator[Found]:
@@ -131,6 +130,4 @@ def _found(
         ambiguous_with=others,
         evidence=(said,),
     )
-    return Found(
-        finding, curve_around(drawn[0], size[2], time, drawn[1], (onset - AROUND, last + AROUND)), True
-    )
+    return make_found(finding, Curve(drawn[0], size[2], time, drawn[1]), True)

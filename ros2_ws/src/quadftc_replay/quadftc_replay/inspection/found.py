@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_replay.flight_log import MAIN, Floats
 from quadftc_replay.inspection.verdict import Finding
 
-Floats = NDArray[np.float64]
+BODY_AXES = ("x", "y", "z")
 CERTAIN = 0.999  # the largest probability that a test gives
+AROUND = 2.0  # s; drawn before and after a finding
 
 
 class Curve(NamedTuple):
@@ -31,6 +32,11 @@ class Found(NamedTuple):
     is_direct: bool = False  # no motion of the vehicle makes it, so that it follows from nothing else
 
 
+def component_name(kind: str, name: str) -> str:
+    """Name a sensor: the main one by its kind alone."""
+    return f"{kind} {name}" if name != MAIN else kind
+
+
 def make_finding(component: str, element: str, kind: str, onset: float, **others: Any) -> Finding:
     """Make a finding; what is not given is not known."""
     usual: dict[str, Any] = {
@@ -46,17 +52,19 @@ def make_finding(component: str, element: str, kind: str, onset: float, **others
     return Finding(component=component, element=element, kind=kind, onset_s=max(onset, 0.0), **values)  # type: ignore[arg-type]
 
 
+def make_found(finding: Finding, curve: Curve | None, is_direct: bool = False) -> Found:
+    """Cut a curve to what is around a finding."""
+    if curve is not None:
+        span = finding.onset_s - AROUND, (finding.end_s or finding.onset_s) + AROUND
+        rows = slice(*np.searchsorted(curve.time, span))
+        lines = {name: values[rows] for name, values in curve.lines.items()}
+        curve = curve._replace(time=curve.time[rows], lines=lines)
+    return Found(finding, curve, is_direct)
+
+
 def confidence(score: float, level: float) -> float:
     """Return the probability for a score beyond its level: 0.75 at it, 0.94 at twice it.
 
     Residuals have heavier tails than a normal distribution, so it grows with the square alone.
     """
     return min(1.0 - 0.25 * (level / max(score, level)) ** 2, CERTAIN)
-
-
-def curve_around(
-    title: str, unit: str, time: Floats, lines: Mapping[str, Floats], span: tuple[float, float]
-) -> Curve:
-    """Cut the lines to a span of time [s]."""
-    rows = slice(*np.searchsorted(time, span))
-    return Curve(title, unit, time[rows], {name: values[rows] for name, values in lines.items()})

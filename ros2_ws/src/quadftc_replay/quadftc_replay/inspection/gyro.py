@@ -10,41 +10,31 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from quadftc_replay.flight_log import MAIN, Signal
+from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import SCALE, Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.found import BODY_AXES, Found, component_name, make_finding
 from quadftc_replay.inspection.rests import rests_of
 from quadftc_replay.inspection.steps import (
     LEVEL,
-    TOGETHER,
-    Limits,
+    LIMITS,
+    SEEN,
     Step,
     begins_within,
     join_ends,
-    step_sizes,
+    shows,
+    step_found,
     steps_of,
 )
 
-Floats = NDArray[np.float64]
-
-BODY_AXES = ("x", "y", "z")
-LIMITS = Limits(smallest=0.05, floor=0.003)  # rad/s
-SEEN = 0.5  # 1; share of a step that another sensor has to show
 CANDIDATE = 5.0  # standard deviations; of a step that a witness confirms
 NEAR = 0.35  # s; between a step and the border of a creep that it makes
 REST = 0.02  # rad/s; largest scatter of a gyro at rest
 OFFSET = 0.1  # rad/s; a standing offset that is a fault: what calibrated gyros do not have
 MANY = 8  # steps of one axis that are noise, not offsets
-AROUND = 0.5  # s
-
-
-def component_name(kind: str, name: str) -> str:
-    """Name a sensor: the main one by its kind alone."""
-    return f"{kind} {name}" if name != MAIN else kind
+TOGETHER = 0.012  # s; steps of several axes within it have one cause
 
 
 class Witness(NamedTuple):
@@ -70,8 +60,8 @@ def gyro_findings(
     left = list(witness.creeps) if witness is not None else []
     for number, (name, sensor) in enumerate(gyros.items()):
         others = [gyros[other] for other in gyros if other != name]
-        steps = steps_of(flight, sensor, LIMITS, CANDIDATE)
-        kept = [step for step in steps if not any(_shows(other, step) for other in others)]
+        steps = steps_of(flight, sensor, LIMITS["gyro"], CANDIDATE)
+        kept = [step for step in steps if not any(shows(other, step) for other in others)]
         pulses = [step for step in kept if step.is_pulse and step.score > LEVEL]
         kept = [step for step in kept if not step.is_pulse]
         ask = witness if number == 0 else None
@@ -131,25 +121,11 @@ def _same(step: Step, other: Step) -> bool:
     return step.axis == other.axis and any(abs(a - b) < NEAR for a in ends for b in borders)
 
 
-def _shows(sensor: Signal, step: Step) -> bool:
-    """Whether another gyro shows the same step."""
-    change = change_at(sensor.time, sensor.value[:, step.axis], step.onset, 0.02)
-    return change is not None and change * np.sign(step.size) > SEEN * abs(step.size)
-
-
 def _explains(step: Step, creep: Creep) -> bool:
     """Whether a step explains that attitude and gyro turn at different rates."""
     end = np.inf if step.end is None else step.end
     overlap = step.onset - 1.0 <= creep.span.end and creep.span.start <= end + 1.0
     return step.axis == creep.axis and overlap and abs(creep.size - step.size) < abs(step.size)
-
-
-def change_at(time: Floats, values: Floats, moment: float, reach: float) -> float | None:
-    """Mean after a moment less that before it; None without samples."""
-    before = values[slice(*np.searchsorted(time, (moment - reach, moment - 1e-6)))]
-    after = values[slice(*np.searchsorted(time, (moment + 1e-6, moment + reach)))]
-    before, after = before[np.isfinite(before)], after[np.isfinite(after)]
-    return float(after.mean() - before.mean()) if len(before) and len(after) else None
 
 
 def _pulse_findings(name: str, pulses: Sequence[Step]) -> Iterator[Found]:
@@ -185,31 +161,7 @@ def _step_findings(
             alone = not any(
                 other.axis != axis and abs(other.onset - step.onset) < TOGETHER for other in steps
             )
-            yield _step_found(flight, component, sensor, step, alone or has_witness)
-
-
-def _step_found(flight: Flight, component: str, sensor: Signal, step: Step, is_sure: bool) -> Found:
-    element = BODY_AXES[step.axis]
-    said = [
-        f"it jumps by {step.size:+.3g} rad/s from one sample to the next,"
-        f" {step.score:.0f} standard deviations of what it does otherwise"
-    ]
-    if not is_sure:
-        said.append("other axes jump with it, as in a collision")
-    probability = confidence(step.score, LEVEL)
-    finding = make_finding(
-        *(component, element, "offset", step.onset),
-        end_s=step.end,
-        size=step.size,
-        sigma=step.sigma,
-        unit="rad/s",
-        probability=probability if is_sure else 0.7 * probability,
-        ambiguous_with=() if is_sure else ("collision",),
-        evidence=tuple(said),
-    )
-    span = (step.onset - AROUND, (step.end or step.onset) + AROUND)
-    lines = {"step that best explains what follows": step_sizes(flight, sensor, LIMITS, step.axis)}
-    return Found(finding, curve_around(f"step of {component} {element}", "rad/s", sensor.time, lines, span))
+            yield step_found(flight, component, sensor, LIMITS["gyro"], step, alone or has_witness)
 
 
 def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]:
@@ -227,7 +179,7 @@ def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]
         said = [f"it reads {size:+.3g} rad/s while the vehicle stands still"]
         if first > 0:  # it was right before
             between = rests[first - 1].end, rests[first].start
-            onset = begins_within(flight, sensor, LIMITS, axis, size, between)
+            onset = begins_within(flight, sensor, LIMITS["gyro"], axis, size, between)
             said.append(f"until {between[0]:.2f} s it was right, from {between[1]:.2f} s on it is not")
         finding = make_finding(
             *(component_name("gyro", name), element, "offset", onset),

@@ -18,14 +18,20 @@ from quadftc_model.rotations import to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.gyro import component_name
+from quadftc_replay.inspection.found import (
+    Curve,
+    Found,
+    component_name,
+    confidence,
+    make_finding,
+    make_found,
+)
 from quadftc_replay.inspection.jumps import DRIFT, FEWEST, JUMP, find_jumps
 from quadftc_replay.inspection.path import DELAYS, attitude_at
 from quadftc_replay.inspection.readings import noise_findings
 from quadftc_replay.inspection.steps import Step
 from quadftc_replay.inspection.verdict import show
-from quadftc_replay.inspection.whitening import Floats, Mask
+from quadftc_replay.inspection.whitening import Floats
 
 BAROMETER, RECEIVER = "barometer", "gps"
 KINDS = ("offset", "drift")  # jumps, drifts
@@ -44,7 +50,6 @@ ROUGH = 0.3  # m; the noise of a barometer that is none (ArduPilot EK3_ALT_M_NSE
 GROUND_EFFECT = 4.0  # m; that the wash of the rotors near the ground adds (PX4 EKF2_GND_EFF_DZ)
 PAUSE = 1.0  # s; of a velocity, over which its integral is not known
 SAME = 0.5  # 1; by which jumps differ that have one cause
-AROUND = 3.0  # s
 
 
 def receiver_findings(flight: Flight) -> tuple[list[Found], bool]:
@@ -77,7 +82,7 @@ def velocity_findings(flight: Flight) -> Iterator[Found]:
         late = (Signal(time + delay, acceleration) for delay in DELAYS.tolist())
         residual = min((_less_integral(velocity, each) for each in late), key=_unrest)
         smallest = np.full(len(residual), GATE * SPEED)
-        for step in find_jumps(residual, _watched(flight, residual), smallest)[0]:
+        for step in find_jumps(residual, flight.is_calm(residual.time), smallest)[0]:
             if not _is_sharp(residual, step) or step.sigma > SPEED:
                 continue  # a wrong heading or force takes its time; force sampled too slowly says little
             element, way = _way(step.axis, step.size)
@@ -98,7 +103,7 @@ def barometer_findings(flight: Flight) -> tuple[list[Found], bool]:
     for name, residual in residuals.items():
         # wind of the vehicle's own speed adds up to its dynamic pressure
         dynamic: Floats = np.interp(residual.time, velocity.time, speed) ** 2 / (2.0 * STANDARD_GRAVITY)
-        jumps[name] = find_jumps(residual, _watched(flight, residual), GROUND_EFFECT + dynamic)
+        jumps[name] = find_jumps(residual, flight.is_calm(residual.time), GROUND_EFFECT + dynamic)
         found += _noise(flight, component_name(BAROMETER, name), residual, ("",), ROUGH)
     receivers = [_receiver_jumps(flight, name, each) for name, each in _receivers(flight).items()]
     for which, kind in enumerate(KINDS):
@@ -169,11 +174,7 @@ def _receiver_jumps(flight: Flight, name: str, residual: Signal) -> tuple[list[S
     claimed = np.full(len(residual), CLAIMED)
     if status is not None:
         claimed = np.fmax(claimed, np.interp(residual.time, status.time, status.value[:, 2]))
-    return find_jumps(residual, _watched(flight, residual), GATE * claimed)
-
-
-def _watched(flight: Flight, residual: Signal) -> Mask:
-    return flight.in_flight(residual.time) & ~flight.near_impact(residual.time)
+    return find_jumps(residual, flight.is_calm(residual.time), GATE * claimed)
 
 
 def _has(steps: Sequence[Step], step: Step) -> bool:
@@ -208,6 +209,5 @@ def _found(
         evidence=(said,),
     )
     lines = {"difference": residual.value[:, step.axis]}
-    span = (step.onset - AROUND, (step.end or step.onset) + AROUND)
     title = f"{component} {element}".strip() + " less the integral of what it follows from"
-    return Found(finding, curve_around(title, unit, residual.time, lines, span))
+    return make_found(finding, Curve(title, unit, residual.time, lines))

@@ -98,7 +98,7 @@ def identify(flight: Flight) -> Identified | None:
     rate = min(FINE, gyro.rate)
     edges = np.arange(start, end, 1.0 / rate)
     time = 0.5 * (edges[1:] + edges[:-1])
-    flying = flight.in_flight(time) & ~flight.near_impact(time)
+    flying = flight.is_calm(time)
     for each in (gyro, inputs):
         flying &= _has_samples(edges, each, 3.0 / each.rate)
     alpha = np.gradient(np.nan_to_num(bin_means(edges, gyro, hold=False)), 1.0 / rate, axis=0)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.inspection.accelerometer import LIMITS as FORCE_LIMITS
 from quadftc_replay.inspection.accelerometer import accelerometer_findings
 from quadftc_replay.inspection.agreement import Agreement, compare
 from quadftc_replay.inspection.attitude import attitude_findings, disagreements
@@ -16,23 +15,21 @@ from quadftc_replay.inspection.deaf import deaf_findings
 from quadftc_replay.inspection.ending import ending_of
 from quadftc_replay.inspection.flight import Flight, prepare
 from quadftc_replay.inspection.flown_by import flown_findings
-from quadftc_replay.inspection.found import Found
-from quadftc_replay.inspection.gyro import BODY_AXES, Witness, component_name, gyro_findings
-from quadftc_replay.inspection.gyro import LIMITS as RATE_LIMITS
+from quadftc_replay.inspection.found import BODY_AXES, Found, component_name
+from quadftc_replay.inspection.gyro import Witness, gyro_findings
 from quadftc_replay.inspection.navigation import navigation_findings
 from quadftc_replay.inspection.own_attitude import OwnEstimate, estimate, offset_finding, owner_of
 from quadftc_replay.inspection.pairs import owner_by_other
 from quadftc_replay.inspection.path import WINDOW
 from quadftc_replay.inspection.readings import absent_findings, noise_findings, reading_findings
 from quadftc_replay.inspection.rotors import Rotors, judge_rotors
-from quadftc_replay.inspection.steps import SLOWEST
+from quadftc_replay.inspection.steps import LIMITS, SLOWEST
 from quadftc_replay.inspection.verdict import NotJudged, Verdict
 from quadftc_replay.inspection.vibration import vibration_findings
 from quadftc_replay.inspection.witnesses import is_tilt, pair_findings, path_findings
 from quadftc_replay.inspection.wording import make_verdict
 
 Progress = Callable[[float], None]
-SENSORS = {"gyro": ("rad/s", RATE_LIMITS.floor), "accelerometer": ("m/s^2", FORCE_LIMITS.floor)}
 FEWEST = 200  # samples of a sensor
 PATH_SEES = 1.5  # s; by which the path, over a window, may date what a pair shows too early
 QUATERNION = ("",)  # the elements of an attitude are judged together
@@ -110,9 +107,9 @@ def _readings(flight: Flight, gyros: dict[str, Signal]) -> list[Found]:
     sensors = [("gyro", name, each) for name, each in gyros.items()]
     sensors += [("accelerometer", name, each) for name, each in flight.log.accelerometers.items()]
     for kind, name, sensor in sensors:
-        component, (unit, floor) = component_name(kind, name), SENSORS[kind]
+        component, unit = component_name(kind, name), LIMITS[kind].unit
         found += reading_findings(flight, component, sensor, BODY_AXES, unit)
-        found += noise_findings(flight, component, sensor, BODY_AXES, unit, floor)
+        found += noise_findings(flight, component, sensor, BODY_AXES, unit, LIMITS[kind].floor)
         found += absent_findings(flight, component, sensor, _longest(flight, sensor))
     attitude = flight.log.attitude
     if attitude is not None and gyros:

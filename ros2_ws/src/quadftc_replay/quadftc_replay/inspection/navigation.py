@@ -14,13 +14,18 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.compass import Field, compass_findings, fields_of
 from quadftc_replay.inspection.flight import Flight, Interval
-from quadftc_replay.inspection.found import Found, curve_around, make_finding
-from quadftc_replay.inspection.gyro import BODY_AXES, component_name
+from quadftc_replay.inspection.found import (
+    BODY_AXES,
+    Curve,
+    Found,
+    component_name,
+    make_finding,
+    make_found,
+)
 from quadftc_replay.inspection.heights import barometer_findings, receiver_findings, velocity_findings
 from quadftc_replay.inspection.readings import absent_findings, stuck_intervals
 
 CHANGES = 30  # of another magnetometer, of which this one shows none: by chance once in 2^30
-AROUND = 3.0  # s
 
 
 def navigation_findings(
@@ -81,9 +86,8 @@ def _stuck(
             end_s=None if last.end >= float(sensor.time[-1]) else last.end,
             evidence=(said,),
         )
-        span = (first.start - AROUND, last.end + AROUND)
         lines = {"reading": sensor.value[:, column]}
-        yield Found(finding, curve_around(f"{component} {element}", "", sensor.time, lines, span))
+        yield make_found(finding, Curve(f"{component} {element}", "", sensor.time, lines))
 
 
 def _changes(sensor: Signal, stretch: Interval) -> int:

@@ -20,7 +20,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.attitude import ANGLES, Creep, Owner
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
 from quadftc_replay.inspection.identification import bin_means
 from quadftc_replay.inspection.whitening import Floats
 
@@ -35,7 +35,7 @@ BEGUN = 0.15  # 1; share of the largest offset at which it has begun
 GYRO, ATTITUDE = 0.6, 0.3  # 1
 SEEN = 0.15  # 1; share of a creep of the gyro that the filter has to show in this motion
 LONG = 4.0  # s; of a creep whose owner gravity can tell
-AROUND = 5.0  # s
+NEAR = 5.0  # s; around the largest offset, over which an attitude is asked
 
 
 class OwnEstimate(NamedTuple):
@@ -106,13 +106,12 @@ def offset_finding(
         evidence=(said,),
     )
     lines = {"offset of the gyro, by gravity": offset[:, axis]}
-    span = (onset - AROUND, (end or float(time[-1])) + AROUND)
-    return Found(finding, curve_around(f"offset of {component} {element}", "rad/s", time, lines, span))
+    return make_found(finding, Curve(f"offset of {component} {element}", "rad/s", time, lines))
 
 
 def _is_seen(agreement: Agreement, axis: int, size: float, moment: float) -> bool:
     """Whether the attitude turns slower than the gyro by most of an offset, around a moment [s]."""
-    near = np.abs(agreement.time - moment) < AROUND
+    near = np.abs(agreement.time - moment) < NEAR
     rate = np.sum(agreement.rest[near, axis]) / max(float(np.sum(agreement.dt[near])), 1e-9)
     return bool(-np.sign(size) * rate > GYRO * abs(size))
 

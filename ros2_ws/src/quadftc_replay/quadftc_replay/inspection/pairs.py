@@ -19,14 +19,11 @@ import numpy as np
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.attitude import Creep, Owner, stretches
 from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.steps import LIMITS
 from quadftc_replay.inspection.whitening import GAP, TO_SIGMA, Floats, Mask
 
 WINDOW = 0.5  # s
 FEWEST = 5  # samples of it
-LIMITS = {
-    "gyro": 0.087,
-    "accelerometer": 0.75,
-}  # rad/s, m/s²: ArduPilot's arming checks (5 deg/s, ARMING_ACCTHRESH)
 SCALE = 0.05  # 1; of what they measure, by which scale and alignment may differ
 LEVEL = 6.0  # standard deviations of the mean
 CLEAR = 0.3  # 1; by how much of the difference one has to be worse than the other
@@ -88,7 +85,7 @@ def _along(
     mean = _means(values[rows], count)
     noise = TO_SIGMA * float(np.median(np.abs(np.diff(values[rows])))) / np.sqrt(2.0 * count)
     usual = _means(level[rows].max(axis=1), count)
-    score = np.abs(mean) / (np.maximum(LIMITS[kind], LEVEL * noise) + SCALE * usual)
+    score = np.abs(mean) / (np.maximum(LIMITS[kind].apart, LEVEL * noise) + SCALE * usual)
     for run, _ in stretches(mean, score, 0):
         if run.stop - run.start < count:
             continue

@@ -173,8 +173,7 @@ def _covered(time: Floats, at: Floats, delay: float, window: float) -> np.ndarra
 def causes_of(flight: Flight, path: Path) -> Iterator[Cause]:
     """Name the first cause of a path that parts from the velocity in flight."""
     size = np.nan_to_num(np.linalg.norm(path.rest, axis=1))
-    watched = flight.in_flight(path.time) & ~flight.near_impact(path.time)
-    apart = watched & (size > path.smallest + LEVEL * path.sigma)
+    apart = flight.is_calm(path.time) & (size > path.smallest + LEVEL * path.sigma)
     for run in runs_of(apart):
         if path.time[run.stop - 1] - path.time[run.start] >= 0.5 * path.window:
             before = np.flatnonzero(~(size[: run.start] > path.smallest))

@@ -6,17 +6,13 @@ from collections.abc import Iterator
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight, Interval
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
 from quadftc_replay.inspection.verdict import show
-from quadftc_replay.inspection.whitening import TO_SIGMA, runs_of
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, runs_of
 
 STUCK = 0.1  # s; the least time
 CHANCE = 1e-9  # probability, in the whole log, of a run of equal readings that is no fault
@@ -38,7 +34,6 @@ NOISY = 6.0  # times the usual noise
 NOISE_LASTS = 0.5  # s
 HANDLED = 3.0  # times as much and as long, where nobody knows what moves the vehicle, or vibration is aliased
 OTHERS = 2.0  # times: what other axes may rise by meanwhile
-AROUND = 1.0  # s; drawn before and after a finding
 
 
 def reading_findings(
@@ -69,8 +64,7 @@ def _reading_found(
     said = f"it {words}, {show(reading, unit)}, for {seconds:.3g} s{several}"
     end = None if last.end >= float(time[-1]) else last.end
     finding = make_finding(component, name, kind, first.start, end_s=end, evidence=(said,))
-    span = (first.start - AROUND, last.end + AROUND)
-    return Found(finding, curve_around(f"{component} {name}", unit, time, {"reading": values}, span))
+    return make_found(finding, Curve(f"{component} {name}", unit, time, {"reading": values}))
 
 
 def stuck_intervals(flight: Flight, time: Floats, values: Floats) -> list[Interval]:
@@ -162,9 +156,7 @@ def absent_findings(
         seconds = sum(each.end - each.start for each in intervals)
         said = f"no usable reading for {seconds:.3g} s in {len(intervals)} stretches, while others went on"
         end = None if intervals[-1].end >= flight.intervals[-1].end else intervals[-1].end
-        yield Found(
-            make_finding(component, "", "absent", intervals[0].start, end_s=end, evidence=(said,)), None
-        )
+        yield Found(make_finding(component, "", "absent", intervals[0].start, end_s=end, evidence=(said,)))
 
 
 def noise_findings(
@@ -184,7 +176,7 @@ def noise_findings(
     is_slow = sensor.rate < SLOWEST
     times = 1.0 if flight.phases_known and not (alone and is_slow) else HANDLED
     level, lasts = times * NOISY, times * NOISE_LASTS
-    flying = flight.in_flight(sensor.time) & ~flight.near_impact(sensor.time)
+    flying = flight.is_calm(sensor.time)
     if flying.sum() < FEWEST:
         return
     noise = moving_noise(sensor)
@@ -214,11 +206,8 @@ def noise_findings(
             probability=confidence(factor, level),
             evidence=(said + ", while the other axes stay calm" if alone else said,),
         )
-        span = (start - AROUND, end + AROUND)
-        curve = curve_around(
-            f"{component} {name}", unit, sensor.time, {"reading": sensor.value[:, axis]}, span
-        )
-        yield Found(finding, curve)
+        lines = {"reading": sensor.value[:, axis]}
+        yield make_found(finding, Curve(f"{component} {name}", unit, sensor.time, lines))
 
 
 def moving_noise(sensor: Signal, order: int = 3) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, prepare, row_means
-from quadftc_replay.inspection.found import CERTAIN, Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, make_finding, make_found
 from quadftc_replay.inspection.identification import STANDS, Identified, identify
 from quadftc_replay.inspection.rotor_step import LEVEL as STEP_LEVEL
 from quadftc_replay.inspection.rotor_step import RotorStep, find_step, torque_by_model, torque_of
@@ -36,7 +36,6 @@ ASKED = 0.6  # where it was told to: whoever flies on three rotors tells the fou
 TURNS_IN = 0.3  # s; within which a vehicle turns after a rotor has stopped
 HALF = 0.5  # 1; of a rotor's thrust: a loss that has to show in a flight that is called healthy
 ALL_OF_IT = 0.75  # 1; share of the thrust from which a rotor is off
-AROUND = 0.6  # s
 
 
 class Rotors(NamedTuple):
@@ -114,9 +113,7 @@ def _step_found(step: RotorStep) -> Found:
         evidence=said,
     )
     lines = {"roll": step.rest[:, 0], "pitch": step.rest[:, 1]}
-    span = (step.onset - 5.0 * AROUND, step.onset + 5.0 * AROUND)
-    title = "torque not followed"
-    return Found(finding, curve_around(title, "1", step.time, lines, span))
+    return make_found(finding, Curve("torque not followed", "1", step.time, lines))
 
 
 def _first(stopped: Found | None, lost: Found | None) -> list[Found]:
@@ -181,9 +178,7 @@ def _standing(flight: Flight) -> Iterator[Found]:
                 ambiguous_with=() if probability == CERTAIN else ("command",),
                 evidence=tuple(said),
             )
-            lines = {f"rotor {k + 1}": sensor.value[:, k] for k in range(speeds.shape[1])}
-            span = (start - AROUND, min(end, start + 2.0) + AROUND)
-            yield Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span))
+            yield make_found(finding, _speed_curve(sensor))
             break
 
 
@@ -205,9 +200,12 @@ def _speed_absent(sensor: Signal, rotor: int, onset: float, end: float) -> Found
     """The finding of a speed sensor that drops out."""
     said = "it reads next to nothing, and the vehicle flies on as before: no rotor has stopped"
     finding = make_finding("speed sensor", str(rotor + 1), "absent", onset, end_s=end, evidence=(said,))
-    span = (onset - AROUND, end + AROUND)
+    return make_found(finding, _speed_curve(sensor))
+
+
+def _speed_curve(sensor: Signal) -> Curve:
     lines = {f"rotor {k + 1}": sensor.value[:, k] for k in range(sensor.value.shape[1])}
-    return Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span))
+    return Curve("speed of the rotors", "rad/s", sensor.time, lines)
 
 
 def _slows_down(time: Floats, speed: Floats, row: int) -> float:
@@ -264,5 +262,6 @@ def _weak_found(flight: Flight, weak: Weak, has_baseline: bool) -> Found:
     lines = {
         f"rotor {k + 1}": sensor.value[:, k] / np.maximum(mean, 1e-9) for k in range(sensor.value.shape[1])
     }
-    span = (flight.intervals[0].start, flight.intervals[-1].end)
-    return Found(finding, curve_around("share of each rotor", "1", sensor.time, lines, span))
+    flying = flight.in_flight(sensor.time)
+    lines = {name: values[flying] for name, values in lines.items()}
+    return Found(finding, Curve("share of each rotor", "1", sensor.time[flying], lines))

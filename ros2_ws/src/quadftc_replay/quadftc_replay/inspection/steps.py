@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.whitening import find_steps, is_pulse, peaks
-
-Floats = NDArray[np.float64]
+from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.whitening import Floats, Mask, Steps, find_steps, is_pulse, peaks
 
 LEVEL = 8.0  # standard deviations; the largest in healthy flights of Crazyflies and PX4 is 4.2
 SLOWEST = 80.0  # Hz; below, motion itself looks like steps
@@ -20,7 +18,7 @@ PULSE = 0.03  # s; what goes back within it is a pulse
 UNKNOWN = 0.5  # s; at the begin of a log, of which nobody knows what was before
 APART = 12  # samples; within which there is one step
 SAME = 0.5  # 1; an end has the size of its begin to this share
-TOGETHER = 0.012  # s; steps of several axes within it have one cause
+SEEN, NEAR = 0.5, 0.02  # 1, s; share of a step that another sensor has to show, and over which
 
 
 class Step(NamedTuple):
@@ -36,10 +34,15 @@ class Step(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What counts as a step of a sensor, in its unit."""
+    """What counts as a step of a kind of sensor, in its unit."""
 
+    unit: str
     smallest: float
     floor: float  # standard deviation of its noise, at least
+    apart: float  # by which two of a kind may differ: ArduPilot's arming checks (5 deg/s, ARMING_ACCTHRESH)
+
+
+LIMITS = {"gyro": Limits("rad/s", 0.05, 0.003, 0.087), "accelerometer": Limits("m/s^2", 1.5, 0.1, 0.75)}
 
 
 def steps_of(flight: Flight, sensor: Signal, limits: Limits, level: float = LEVEL) -> list[Step]:
@@ -48,18 +51,26 @@ def steps_of(flight: Flight, sensor: Signal, limits: Limits, level: float = LEVE
     if sensor.rate < SLOWEST or len(sensor) < 200:
         return []
     flying = flight.in_flight(time)
-    watched = flying & ~flight.near_impact(time) & (time > time[0] + UNKNOWN)
+    watched = flight.is_calm(time) & (time > time[0] + UNKNOWN)
     found: list[Step] = []
     for axis in range(sensor.value.shape[1]):
         steps = find_steps(time, sensor.value[:, axis], flying, limits.floor)
-        size, sigma = steps.size, steps.sigma
-        score = np.where(watched & (np.abs(size) > limits.smallest), np.abs(size) / sigma, 0.0)
-        for k in peaks(score, level, APART):
-            pulse = is_pulse(steps, k, APART)
-            found.append(
-                Step(axis, float(time[k]), None, float(size[k]), float(sigma[k]), float(score[k]), pulse)
-            )
+        found += steps_beyond(time, steps, axis, watched, limits.smallest, level)
     return sorted(found, key=lambda step: step.onset)
+
+
+def steps_beyond(
+    time: Floats, steps: Steps, axis: int, watched: Mask, smallest: float, level: float
+) -> list[Step]:
+    """Steps of one axis beyond a size and a level [standard deviations], where it is watched (n,)."""
+    score = np.where(watched & (np.abs(steps.size) > smallest), np.abs(steps.size) / steps.sigma, 0.0)
+    return [
+        Step(
+            *(axis, float(time[k]), None, float(steps.size[k]), float(steps.sigma[k]), float(score[k])),
+            is_pulse(steps, k, APART),
+        )
+        for k in peaks(score, level, APART)
+    ]
 
 
 def join_ends(steps: Sequence[Step], pulse: float = PULSE) -> list[Step]:
@@ -80,10 +91,45 @@ def join_ends(steps: Sequence[Step], pulse: float = PULSE) -> list[Step]:
     return [each for each in found if each.end is None or each.end - each.onset > pulse]
 
 
-def step_sizes(flight: Flight, sensor: Signal, limits: Limits, axis: int) -> Floats:
-    """Return the step that best explains what follows each sample, on one axis (n,)."""
+def shows(sensor: Signal, step: Step) -> bool:
+    """Whether another sensor of a kind shows the same step."""
+    change = change_at(sensor.time, sensor.value[:, step.axis], step.onset, NEAR)
+    return change is not None and change * np.sign(step.size) > SEEN * abs(step.size)
+
+
+def change_at(time: Floats, values: Floats, moment: float, reach: float) -> float | None:
+    """Mean after a moment less that before it; None without samples."""
+    before = values[slice(*np.searchsorted(time, (moment - reach, moment - 1e-6)))]
+    after = values[slice(*np.searchsorted(time, (moment + 1e-6, moment + reach)))]
+    before, after = before[np.isfinite(before)], after[np.isfinite(after)]
+    return float(after.mean() - before.mean()) if len(before) and len(after) else None
+
+
+def step_found(
+    flight: Flight, component: str, sensor: Signal, limits: Limits, step: Step, is_sure: bool = True
+) -> Found:
+    """The finding of a step; not ``is_sure``: other axes jump with it."""
+    element, unit = BODY_AXES[step.axis], limits.unit.replace("^2", "²")
+    said = [
+        f"it jumps by {step.size:+.3g} {unit} from one sample to the next,"
+        f" {step.score:.0f} standard deviations of what it does otherwise"
+    ]
+    if not is_sure:
+        said.append("other axes jump with it, as in a collision")
+    finding = make_finding(
+        *(component, element, "offset", step.onset),
+        end_s=step.end,
+        size=step.size,
+        sigma=step.sigma,
+        unit=limits.unit,
+        probability=(1.0 if is_sure else 0.7) * confidence(step.score, LEVEL),
+        ambiguous_with=() if is_sure else ("collision",),
+        evidence=tuple(said),
+    )
     flying = flight.in_flight(sensor.time)
-    return find_steps(sensor.time, sensor.value[:, axis], flying, limits.floor).size
+    sizes = find_steps(sensor.time, sensor.value[:, step.axis], flying, limits.floor).size
+    lines = {"step that best explains what follows": sizes}
+    return make_found(finding, Curve(f"step of {component} {element}", unit, sensor.time, lines))
 
 
 def begins_within(

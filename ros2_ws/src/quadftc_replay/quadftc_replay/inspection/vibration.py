@@ -11,8 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.gyro import BODY_AXES
+from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, confidence, make_finding, make_found
 from quadftc_replay.inspection.whitening import runs_of
 
 FEWEST = 20  # samples in flight
@@ -21,7 +20,6 @@ CALM = 0.3  # 1; quantile of the levels in flight that is the usual one
 RISEN = 4.0  # 1; times the usual level
 FELT = 5.0  # m/s²; half of gravity: Flight Review warns from here on
 HARMFUL = 30.0  # m/s²; from here on ArduPilot expects its estimator to fail
-AROUND = 5.0  # s
 
 
 def vibration_findings(flight: Flight) -> Iterator[Found]:
@@ -31,7 +29,7 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
         return
     time, axes = level.time, np.nan_to_num(level.value)
     value = np.sqrt(np.mean(axes**2, axis=1))
-    watched = flight.in_flight(time) & ~flight.near_impact(time)
+    watched = flight.is_calm(time)
     if watched.sum() < FEWEST:
         return
     usual = float(np.quantile(value[watched], CALM))
@@ -60,6 +58,5 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
             probability=confidence(risen, limit),
             evidence=tuple(said),
         )
-        curve = curve_around("vibration", "m/s²", time, {"level": value}, (onset - AROUND, end + AROUND))
-        yield Found(finding, curve, True)
+        yield make_found(finding, Curve("vibration", "m/s²", time, {"level": value}), True)
         return

@@ -8,13 +8,17 @@ import numpy as np
 
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
-from quadftc_replay.inspection.accelerometer import LIMITS as FORCE_LIMITS
 from quadftc_replay.inspection.agreement import compare
-from quadftc_replay.inspection.attitude import SAME, Jump
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.gyro import BODY_AXES, change_at, component_name
-from quadftc_replay.inspection.gyro import LIMITS as RATE_LIMITS
+from quadftc_replay.inspection.found import (
+    BODY_AXES,
+    Curve,
+    Found,
+    component_name,
+    confidence,
+    make_finding,
+    make_found,
+)
 from quadftc_replay.inspection.pairs import CLEAR, LONG, Parting, differ, jumps_more, partings
 from quadftc_replay.inspection.path import (
     LEVEL,
@@ -27,12 +31,10 @@ from quadftc_replay.inspection.path import (
     known_path,
     path_of,
 )
-from quadftc_replay.inspection.steps import begins_within
+from quadftc_replay.inspection.steps import LIMITS, SAME, Step, begins_within, change_at
 from quadftc_replay.inspection.verdict import Finding
 from quadftc_replay.inspection.whitening import Floats
 
-UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
-AROUND = 2.0  # s; drawn before and after a finding
 NEAR = 0.5  # s; from a step that the path shows to the same in the readings
 
 
@@ -136,7 +138,7 @@ def _pair_found(kind: str, sensors: Mapping[str, Signal], parting: Parting, blam
     is_first, is_clear = blame >= 0.0, abs(blame) > CLEAR
     wrong, right = parting.names if is_first else parting.names[::-1]
     component, other = component_name(kind, wrong), component_name(kind, right)
-    element, unit = BODY_AXES[parting.axis], UNITS[kind]
+    element, unit = BODY_AXES[parting.axis], LIMITS[kind].unit
     size = parting.size if is_first else -parting.size
     said = [f"it reads {size:+.3g} {unit.replace('^2', '²')} more than {other}, on the same vehicle"]
     if not is_clear:
@@ -157,10 +159,7 @@ def _pair_found(kind: str, sensors: Mapping[str, Signal], parting: Parting, blam
         for name, each in sensors.items()
         if name in parting.names
     }
-    span = (parting.onset - AROUND, (parting.end or parting.onset) + AROUND)
-    return Found(
-        finding, curve_around(f"{kind} {element}", unit.replace("^2", "²"), time, lines, span), is_clear
-    )
+    return make_found(finding, Curve(f"{kind} {element}", unit.replace("^2", "²"), time, lines), is_clear)
 
 
 def _main_force(flight: Flight) -> Signal | None:
@@ -193,7 +192,7 @@ def _is_tilting(flight: Flight, cause: Cause) -> bool:
     return False
 
 
-def is_tilt(finding: Finding, path: Path, jumps: Sequence[Jump]) -> bool:
+def is_tilt(finding: Finding, path: Path, jumps: Sequence[Step]) -> bool:
     """Whether the attitude jumps by the tilt that makes an accelerometer's offset of the path.
 
     Turned by d, it moves the path by d x f: d_y g along x, -d_x g along y.
@@ -213,12 +212,11 @@ def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
     axis = BODY_AXES.index(cause.element)
     onset = cause.onset
     if sensor is not None:
-        limits = RATE_LIMITS if is_gyro else FORCE_LIMITS
         onset, near = begin_of(flight.log, sensor, cause, path)
         span = (onset - 5.0 * near, onset + 5.0 * near)
-        onset = begins_within(flight, sensor, limits, axis, cause.size, span, near)
+        onset = begins_within(flight, sensor, LIMITS[cause.component], axis, cause.size, span, near)
     what = "the attitude tilts away from" if is_gyro else "the specific force parts from"
-    unit = UNITS[cause.component]
+    unit = LIMITS[cause.component].unit
     known = "satellites measure" if path.window == WINDOW else "is possible"
     said = (
         f"{what} the path that {known} as with {cause.size:+.3g} {unit.replace('^2', '²')} here,"
@@ -233,7 +231,4 @@ def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
         evidence=said,
     )
     lines = {name: path.rest[:, k] for k, name in enumerate(BODY_AXES)}
-    span = (onset - 2.0 * AROUND, onset + 2.0 * AROUND)
-    return Found(
-        finding, curve_around("specific force less that of the known path", "m/s²", path.time, lines, span)
-    )
+    return make_found(finding, Curve("specific force less that of the known path", "m/s²", path.time, lines))
