@@ -129,7 +129,6 @@ def test_options_reach_the_nodes(folder: Path):
         (("run",), ("scenarios",)),
         (("fly",), ("fly",)),
         (("list", "unicorns"), ("unicorns", "controllers")),
-        (("play", "tiny.yaml"), ("tiny.yaml",)),
         (("run", "tiny.yaml", "--wait", "poll"), ("lock-step",)),
         (("run", "tiny.yaml", "--mode", "realtime", "--core", "4096"), ("core 4096",)),
     ],
@@ -217,14 +216,6 @@ def test_doctor_finds_this_installation_well(folder: Path):
     done = run_installed("doctor")
     assert done.returncode == 0, done.stdout
     assert "BAD" not in done.stdout
-
-
-def test_play_publishes_the_bag(flown):
-    run = flown[0] / "out" / "tiny-proposed"
-    count = sum(topic.count for topic in read_bag(run).topics.values())
-    done = call_quadftc("play", run, "--rate", "10", "--delay", "0")
-    assert done.returncode == 0, done.stderr
-    assert f"{count} messages" in done.stdout
 
 
 def test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there(folder: Path):

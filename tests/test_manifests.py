@@ -107,6 +107,6 @@ def test_wheel_holds_every_package_that_does_without_ros_and_needs_what_they_imp
     targets = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
     here = [f"ros2_ws/src/{package.name}/{package.name}" for package in PACKAGES]
     assert targets["packages"] == [each for each in here if "bringup" not in each]
-    assert all((ROOT / source).is_dir() for source in targets["force-include"])
+    assert all((ROOT / source).exists() for source in targets["force-include"])
     imports = set().union(*map(imported_by, PACKAGES)) | {"tomli"}
     assert {DISTRIBUTIONS.get(name, name) for name in imports} >= WHEEL
