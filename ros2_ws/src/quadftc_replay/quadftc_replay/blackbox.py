@@ -18,7 +18,6 @@ blackbox_fielddefs.h (formats only).
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,7 +36,7 @@ from quadftc_replay.blackbox_frames import (
     groups_of,
     read_frame,
 )
-from quadftc_replay.thinning import Blocks, Forgetting
+from quadftc_replay.thinning import Blocks, Data, Forgetting, mapped
 
 MARKER = b"H Product:Blackbox flight data recorder"
 VERSION = "2"
@@ -78,17 +77,14 @@ def read_blackbox(path: Path, log: int, wanted: Collection[str]) -> BlackboxLog:
 
     BagError if there is no such log, or several and none is chosen.
     """
-    try:
-        with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            start, stop, note = _choose(data, path, log)
-            header, at = _read_header(data, start, stop)
-            columns, notes = _Decoder(data, header, f"{path}: log {max(log, 1)}", wanted).run(at, stop)
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror or error}") from None
+    with mapped(path) as data:
+        start, stop, note = _choose(data, path, log)
+        header, at = _read_header(data, start, stop)
+        columns, notes = _Decoder(data, header, f"{path}: log {max(log, 1)}", wanted).run(at, stop)
     return BlackboxLog(header, columns, (*note, *notes))
 
 
-def _choose(data: mmap.mmap, path: Path, log: int) -> tuple[int, int, tuple[str, ...]]:
+def _choose(data: Data, path: Path, log: int) -> tuple[int, int, tuple[str, ...]]:
     """Return where a log begins and ends, and which one it is."""
     starts, at = list[int](), data.find(MARKER)
     while at >= 0:
@@ -111,7 +107,7 @@ def _choose(data: mmap.mmap, path: Path, log: int) -> tuple[int, int, tuple[str,
     return starts[chosen], ends[chosen], note
 
 
-def _read_header(data: mmap.mmap, start: int, stop: int) -> tuple[dict[str, str], int]:
+def _read_header(data: Data, start: int, stop: int) -> tuple[dict[str, str], int]:
     """Return the lines of a header by name, and where the frames begin."""
     header, at = dict[str, str](), start
     while data[at : at + 2] == b"H " and at < min(stop, start + MOST_HEADER):
@@ -166,9 +162,7 @@ class _Chain(NamedTuple):
 class _Decoder:
     """Decodes a log block by block."""
 
-    def __init__(
-        self, data: mmap.mmap, header: Mapping[str, str], where: str, wanted: Collection[str]
-    ) -> None:
+    def __init__(self, data: Data, header: Mapping[str, str], where: str, wanted: Collection[str]) -> None:
         self.data, self.where = data, where
         if header.get("Data version") != VERSION:
             version = header.get("Data version", "not given")

@@ -15,7 +15,6 @@ the beginning of another inside, and none behind it, is left out.
 
 from __future__ import annotations
 
-import mmap
 import struct
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
@@ -27,7 +26,7 @@ from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from quadftc_bags.bag import BagError
-from quadftc_replay.thinning import Forgetting, Places
+from quadftc_replay.thinning import Data, Forgetting, Places, mapped, rows_at
 
 HEAD = b"\xa3\x95"
 BEGIN = 3  # bytes before the fields
@@ -37,7 +36,6 @@ PARAMETER, PARAMETER_FIELDS = "PARM", ("Name", "Value")
 # bytes; a board writes a log in chunks of 512 or a multiple (AP_Logger_File), and may leave out the last
 CHUNK = 512
 MOST_LEFT = 256  # bytes; the longest message is shorter
-BLOCK = 65536  # messages gathered at a time
 
 
 class DataflashLog(NamedTuple):
@@ -62,15 +60,12 @@ def read_dataflash(
 
     ``instances`` are fields that tell sensors apart: too many messages are thinned out for each by itself.
     """
-    try:
-        with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            scan = _Scan(data, {*names, PARAMETER}, instances)
-            scan.run()
-            formats = {scan.formats[kind].name: kind for kind, places in scan.places.items() if places}
-            messages = {name: scan.gather(formats[name], names[name]) for name in names if name in formats}
-            parameters = scan.gather(formats[PARAMETER], PARAMETER_FIELDS) if PARAMETER in formats else {}
-    except (OSError, ValueError) as error:
-        raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    with mapped(path) as data:
+        scan = _Scan(data, {*names, PARAMETER}, instances)
+        scan.run()
+        formats = {scan.formats[kind].name: kind for kind, places in scan.places.items() if places}
+        messages = {name: scan.gather(formats[name], names[name]) for name in names if name in formats}
+        parameters = scan.gather(formats[PARAMETER], PARAMETER_FIELDS) if PARAMETER in formats else {}
     if not scan.formats:
         raise BagError(f"{path}: not an ArduPilot log: no format of a message (FMT) in it")
     return DataflashLog(messages, parameters_of(parameters), tuple(scan.notes()), scan.lacks_chunk)
@@ -95,7 +90,7 @@ def _numpy_type(code: str) -> str:
 class _Scan:
     """Finds the messages, and counts the bytes that are none."""
 
-    def __init__(self, data: mmap.mmap, names: Collection[str], instances: Collection[str]) -> None:
+    def __init__(self, data: Data, names: Collection[str], instances: Collection[str]) -> None:
         self.data, self.names, self.instances = data, names, instances
         self.formats: dict[int, _Format] = {}
         self.places: dict[int, defaultdict[int, Places]] = {}  # type -> instance -> places
@@ -180,23 +175,16 @@ class _Scan:
         """Copy fields of a type of message out of the file, block by block; numbers with their factors."""
         row, factors = self.formats[kind].row, self.formats[kind].factors
         each_at = [np.frombuffer(places.at, np.uint64) for places in self.places[kind].values()]
-        places = np.sort(np.concatenate(each_at)).astype(np.int64)
-        view = np.frombuffer(self.data, np.uint8)
-        span = np.arange(BEGIN, BEGIN + row.itemsize)
+        places = np.sort(np.concatenate(each_at)).astype(np.int64) + BEGIN
         there = [field for field in fields if field in (row.names or ())]
         columns: dict[str, NDArray[Any]] = {
             field: np.empty(len(places), row[field] if factors.get(field, 1.0) == 1.0 else np.float64)
             for field in there
         }
-        forgetting = Forgetting(self.data)
-        for first in range(0, len(places), BLOCK):
-            block = slice(first, first + BLOCK)
-            table = np.ascontiguousarray(view[places[block, None] + span]).view(row)[:, 0]
+        for block, table in rows_at(self.data, places, row):
             with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
                 for field in there:
                     columns[field][block] = table[field]
-            forgetting.passed(int(places[min(first + BLOCK, len(places)) - 1]))
-        del view  # else the map could not be closed
         for field in there:
             if (factor := factors.get(field, 1.0)) != 1.0:
                 columns[field] *= factor

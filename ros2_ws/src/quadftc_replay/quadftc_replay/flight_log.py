@@ -7,9 +7,9 @@ clock is resampled.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,12 +107,8 @@ class FlightLog:
     @property
     def end(self) -> float:
         """Time of the last sample of all signals [s]."""
-        single = [self.attitude, self.body_rate, self.position, self.velocity]
-        single += [self.acceleration, self.rotor_speeds, self.rotor_commands, self.torque_command]
-        single += [self.thrust_command, self.battery, self.angles]
-        single += [self.flown_position, self.flown_acceleration, self.vibration, self.clips]
-        several = (self.gyros, self.accelerometers, self.magnetometers, self.barometers)
-        several += (self.gps_positions, self.gps_velocities)
-        signals = [each for named in several for each in named.values()]
-        signals += filter(None, single)
+        held: list[Any] = [getattr(self, each.name) for each in fields(self)]
+        signals = [each for each in held if isinstance(each, Signal)]
+        for named in held:
+            signals += named.values() if isinstance(named, dict) else ()
         return max((float(each.time[-1]) for each in signals if len(each)), default=0.0)

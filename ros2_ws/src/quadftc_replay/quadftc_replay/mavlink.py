@@ -11,7 +11,6 @@ Source: mavlink.io/en/guide/serialization.html.
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from quadftc_bags.bag import BagError
 from quadftc_replay.readers.contents import LATEST, STAMP, message_length
-from quadftc_replay.thinning import Forgetting, Places
+from quadftc_replay.thinning import Data, Forgetting, Places, mapped
 
 NUMBERS = {kind.msgname: number for number, kind in dialect.mavlink_map.items()}  # of messages, by name
 OLD, NEW = 0xFE, 0xFD  # first bytes of version 1 and 2
@@ -49,20 +47,17 @@ def read_telemetry(path: Path, names: Collection[str]) -> TelemetryLog:
     Of several components of a system that send the same message, the one that sends most of it counts.
     """
     wanted = {NUMBERS[name]: name for name in names}
-    try:
-        with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            scan = _Scan(data, wanted)
-            scan.run()
-            most: dict[tuple[int, int], int] = {}  # system, message -> component
-            for system, component, number in sorted(scan.places, key=lambda key: -scan.count(key)):
-                most.setdefault((system, number), component)
-            messages: dict[int, dict[str, dict[str, NDArray[Any]]]] = {}
-            for (system, number), component in most.items():
-                table = scan.gather((system, component, number))
-                if len(table[RECEIVED]):
-                    messages.setdefault(system, {})[wanted[number]] = table
-    except (OSError, ValueError) as error:
-        raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    with mapped(path) as data:
+        scan = _Scan(data, wanted)
+        scan.run()
+        most: dict[tuple[int, int], int] = {}  # system, message -> component
+        for system, component, number in sorted(scan.places, key=lambda key: -scan.count(key)):
+            most.setdefault((system, number), component)
+        messages: dict[int, dict[str, dict[str, NDArray[Any]]]] = {}
+        for (system, number), component in most.items():
+            table = scan.gather((system, component, number))
+            if len(table[RECEIVED]):
+                messages.setdefault(system, {})[wanted[number]] = table
     return TelemetryLog(messages, tuple(scan.notes()))
 
 
@@ -92,7 +87,7 @@ def _row_type(kind: Any) -> np.dtype:
 class _Scan:
     """Finds the messages, and counts the bytes that are none."""
 
-    def __init__(self, data: mmap.mmap, wanted: Collection[int]) -> None:
+    def __init__(self, data: Data, wanted: Collection[int]) -> None:
         self.data, self.wanted = data, wanted
         self.places: dict[tuple[int, int, int], Places] = {}  # system, component, message
         self.skipped = self.gaps = self.left = self.wrong = 0

@@ -6,16 +6,23 @@ stays. Pages of a mapped file count as memory until they are given back.
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 from array import array
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_bags.bag import BagError
+
 MOST = 2**20  # samples of a signal: 17 min at 1 kHz; half of them are left at least
 WINDOW = 1 << 26  # bytes of a mapped file that may be in memory
+GATHERED = 1 << 22  # bytes gathered at a time
+
+Data = bytes | mmap.mmap
 
 
 class Thinning:
@@ -78,10 +85,38 @@ class Messages(bytearray):
         return self
 
 
+@contextlib.contextmanager
+def mapped(path: Path) -> Generator[Data, None, None]:
+    """Map a file; what is wrong with it, or with what is made of it, is a BagError of one line."""
+    try:
+        with path.open("rb") as stream:
+            if not path.stat().st_size:  # cannot be mapped
+                yield b""
+                return
+            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                yield data
+    except BagError:
+        raise
+    except (OSError, ValueError) as error:
+        raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+
+
+def rows_at(
+    data: Data, places: NDArray[np.int64], row: np.dtype[Any]
+) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Copy rows of a type from some places out of a file, block by block: which they are, and the rows."""
+    view, forgetting, span = np.frombuffer(data, np.uint8), Forgetting(data), np.arange(row.itemsize)
+    step = max(GATHERED // row.itemsize, 1)
+    for first in range(0, len(places), step):
+        block = slice(first, first + step)
+        yield block, np.ascontiguousarray(view[places[block, None] + span]).view(row)[:, 0]
+        forgetting.passed(int(places[block][-1]))
+
+
 class Forgetting:
     """Gives pages of a mapped file back once `WINDOW` was read."""
 
-    def __init__(self, data: bytes | mmap.mmap) -> None:
+    def __init__(self, data: Data) -> None:
         self.data, self.limit = data, WINDOW
 
     def passed(self, at: int) -> None:

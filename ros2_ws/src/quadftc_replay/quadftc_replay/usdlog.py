@@ -14,7 +14,6 @@ row is looked for. Warnings say how much was left out, and whether the check sum
 
 from __future__ import annotations
 
-import mmap
 import struct
 import zlib
 from collections.abc import Container, Iterator, Mapping
@@ -25,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
-from quadftc_replay.thinning import Forgetting, Places
+from quadftc_replay.thinning import Data, Forgetting, Places, mapped, rows_at
 
 MAGIC = 0xBC
 TIMES = {1: ("I", 1_000_000), 2: ("Q", 1000)}  # version -> type of a time, its unit [ns]
 TYPES = "BbHhIief"  # of a variable: integers of 1, 2, 4 bytes, floats of 2 and 4
 CHECK_SUM = 4  # bytes at the end
-BLOCK = 1 << 20  # bytes gathered at a time
+BLOCK = 1 << 20  # bytes summed up at a time
 MAX_STEP_NS = 10_000_000_000  # between two rows of a damaged log
 MAX_STAMP_NS = 2**62
 SHOWN = 20  # characters of a name that is none
@@ -62,17 +61,11 @@ def read_usdlog(path: Path, wanted: Container[str] | None = None) -> UsdLog:
 
     The file is mapped. A BagError of one line says where the header is wrong, and what was expected.
     """
-    try:
-        with path.open("rb") as stream:
-            if not path.stat().st_size:  # cannot be mapped
-                return _read(b"", path, wanted)
-            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                return _read(data, path, wanted)
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror or error}") from None
+    with mapped(path) as data:
+        return _read(data, path, wanted)
 
 
-def _read(data: bytes | mmap.mmap, path: Path, wanted: Container[str] | None) -> UsdLog:
+def _read(data: Data, path: Path, wanted: Container[str] | None) -> UsdLog:
     header = _Header(data, path)
     events = header.events()
     is_whole = _check_sum(data) == int.from_bytes(data[-CHECK_SUM:], "little")
@@ -91,7 +84,7 @@ def _read(data: bytes | mmap.mmap, path: Path, wanted: Container[str] | None) ->
     return UsdLog(read, (*_damage(path, is_whole, rows, len(data) - end), *thinned))
 
 
-def _check_sum(data: bytes | mmap.mmap) -> int:
+def _check_sum(data: Data) -> int:
     """CRC-32 of all but the last bytes, block by block."""
     total, forgetting = 0, Forgetting(data)
     for first in range(0, len(data) - CHECK_SUM, BLOCK):
@@ -114,7 +107,7 @@ def _damage(path: Path, is_whole: bool, rows: _Rows, left: int) -> Iterator[str]
 class _Header:
     """Reads the header, byte by byte."""
 
-    def __init__(self, data: bytes | mmap.mmap, path: Path) -> None:
+    def __init__(self, data: Data, path: Path) -> None:
         self.data, self.path, self.at = data, path, 0
         magic = self._number("B", "magic")
         if magic != MAGIC:
@@ -183,12 +176,7 @@ class _Rows:
     """Finds the rows up to a byte ``end``, and counts the bytes that are none."""
 
     def __init__(
-        self,
-        data: bytes | mmap.mmap,
-        events: Mapping[int, _Event],
-        header: _Header,
-        end: int,
-        is_whole: bool,
+        self, data: Data, events: Mapping[int, _Event], header: _Header, end: int, is_whole: bool
     ) -> None:
         self.data, self.at, self.end, self.is_whole = data, header.at, end, is_whole
         self.sizes = {key: event.row.itemsize for key, event in events.items()}
@@ -228,22 +216,14 @@ class _Rows:
 
 
 def _columns(
-    data: bytes | mmap.mmap,
-    places: Places,
-    event: _Event,
-    unit_ns: int,
-    wanted: Container[str] | None,
+    data: Data, places: Places, event: _Event, unit_ns: int, wanted: Container[str] | None
 ) -> EventRows:
     """Gather the rows of an event, block by block."""
     names = {name: f"f{k}" for k, name in enumerate(event.variables, 2) if wanted is None or name in wanted}
-    rows, forgetting = places.at, Forgetting(data)
+    rows = np.frombuffer(places.at, np.uint64).astype(np.int64)
     stamp_ns = np.empty(len(rows), np.int64)
     columns = {name: np.empty(len(rows), event.row[field]) for name, field in names.items()}
-    size, step = event.row.itemsize, max(BLOCK // event.row.itemsize, 1)
-    for first in range(0, len(rows), step):
-        block = slice(first, first + step)
-        forgetting.passed(rows[first])
-        table = np.frombuffer(b"".join([data[at : at + size] for at in rows[block]]), event.row)
+    for block, table in rows_at(data, rows, event.row):
         stamp_ns[block] = table["f1"].astype(np.int64) * unit_ns
         for name, field in names.items():
             columns[name][block] = table[field]

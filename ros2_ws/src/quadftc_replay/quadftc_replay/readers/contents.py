@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import mmap
 import re
 import struct
 from collections.abc import Callable
+
+from quadftc_replay.thinning import Data
 
 HEAD = 4096  # bytes that tell a format
 
@@ -90,7 +91,7 @@ def _is_bare_mavlink(head: bytes) -> bool:
     return True
 
 
-def message_length(data: bytes | mmap.mmap, at: int) -> int:
+def message_length(data: Data, at: int) -> int:
     """Bytes of a MAVLink message that begins at a place, with its signature."""
     place, beside = MAVLINK[data[at]]
     is_signed = data[at] == 0xFD and data[at + 2] & 1

@@ -225,12 +225,6 @@ def sound(parameters: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def rate_of(stamp_ns: Stamps) -> float:
-    """One over the median time between two samples [Hz]; 0 for less than two."""
-    period = float(np.median(np.diff(stamp_ns))) if len(stamp_ns) > 1 else 0.0
-    return NANOSECONDS_PER_SECOND / period if period > 0.0 else 0.0
-
-
 def thrust_of_throttle(throttle: Floats, curve: float) -> Floats:
     """Share of the greatest thrust of a share of the throttle r: (1 - c) r + c r².
 
