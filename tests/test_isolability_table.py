@@ -7,7 +7,6 @@ import pytest
 from rich.console import Console
 
 from quadftc_cli.checking import (
-    CANCELLED,
     CHANGING,
     ITSELF,
     LASTING,
@@ -20,13 +19,10 @@ from quadftc_theory.vehicle_equations import Assumptions
 
 SMALL = IsolabilityResult(
     name="made up",
-    causality="mixed",
     assumptions={},
     faults=("a", "b", "c"),
     detectable=np.array([True, True, False]),
-    isolable=np.array([[False, True, True], [True, False, True], [False, False, False]]),
-    rank_detectable=np.array([True, True, False]),
-    rank_isolable=np.array([[False, False, True], [False, False, True], [False, False, False]]),
+    isolable=np.array([[False, False, True], [False, False, True], [False, False, False]]),
     strongly_detectable=np.array([True, False, False]),
     strongly_isolable=np.array([[False, False, True], [False, False, False], [False, False, False]]),
 )
@@ -35,19 +31,18 @@ SMALL = IsolabilityResult(
 def test_table_marks_each_pair_by_the_strongest_answer():
     columns = [list(column.cells) for column in isolability_table(SMALL).columns]
     assert [list(row) for row in zip(*columns[2:], strict=True)] == [
-        [LASTING, ITSELF, CANCELLED, LASTING],
-        [CHANGING, CANCELLED, ITSELF, CHANGING],
+        [LASTING, ITSELF, NEVER, LASTING],
+        [CHANGING, NEVER, ITSELF, CHANGING],
         [NEVER, NEVER, NEVER, ITSELF],
     ]
 
 
 def test_lines_name_what_cannot_be_seen_and_what_cannot_be_told_apart():
     assert isolability_lines(SMALL) == [
-        "made up: mixed causality",
+        "made up",
         "cannot be detected: c",
         "detected only while they change: b",
         "cannot be told apart: a / b",
-        "told apart by structure only, coefficients cancel: a / b",
     ]
 
 

@@ -27,12 +27,9 @@ if TYPE_CHECKING:
 
 COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.DEPENDS: "yellow"}
 
-# marks of a fault: what a residual does, and why
-LASTING, CHANGING, NEVER, CANCELLED, ITSELF = "●", "○", "·", "!", ""
-LEGEND = (
-    f"{LASTING} also while the fault is constant   {CHANGING} only while it changes   {NEVER} never   "
-    f"{CANCELLED} by structure, but this vehicle's coefficients cancel"
-)
+# marks of a fault: when a residual responds
+LASTING, CHANGING, NEVER, ITSELF = "●", "○", "·", ""
+LEGEND = f"{LASTING} also while the fault is constant   {CHANGING} only while it changes   {NEVER} never"
 
 
 def check_target(
@@ -130,17 +127,16 @@ def isolability_table(result: IsolabilityResult) -> Table:
     for heading in ("", "fault", "seen", *numbers):
         side: Any = {"fault": "left", "seen": "center"}.get(heading, "right")
         table.add_column(heading, justify=side, no_wrap=True)
-    seen = _marks(result.detectable, result.rank_detectable, result.strongly_detectable)
-    apart = _marks(result.isolable, result.rank_isolable, result.strongly_isolable)
+    seen = _marks(result.detectable, result.strongly_detectable)
+    apart = _marks(result.isolable, result.strongly_isolable)
     np.fill_diagonal(apart, ITSELF)
     for row in zip(numbers, result.faults, seen, *apart.T, strict=True):
         table.add_row(*row)
     return table
 
 
-def _marks(structure: Mask, rank: Mask, strong: Mask) -> NDArray[np.str_]:
-    lasting = np.where(strong, LASTING, CHANGING)
-    return np.where(structure, np.where(rank, lasting, CANCELLED), NEVER)
+def _marks(at_all: Mask, strongly: Mask) -> NDArray[np.str_]:
+    return np.where(at_all, np.where(strongly, LASTING, CHANGING), NEVER)
 
 
 def _print(report: CheckReport) -> None:

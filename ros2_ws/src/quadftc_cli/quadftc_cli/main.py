@@ -36,7 +36,7 @@ ROS = ("rclpy", "ament_index_python", "quadftc_msgs", "builtin_interfaces", "std
 EXTRAS = {
     "serve": ("fastapi", "nicegui", "starlette", "uvicorn"),
     "batch": ("optax", "polars"),
-    "isolability": ("faultdiagnosistoolbox", "sympy"),
+    "isolability": ("sympy",),
 }
 MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters
 PATHS_FAULT = (

@@ -1,15 +1,9 @@
 # pyright: basic
 """Which faults can be detected and told apart at all, whatever the algorithm.
 
-Three questions on the same equations, each sharper than the one before:
+Two questions on the same equations, the second sharper than the first:
 
-* Structural: by which unknown is in which equation alone (Dulmage-Mendelsohn decomposition; Krysander, Frisk
-  (2008), "Sensor placement for fault diagnosis", IEEE Trans. SMC A 38(6); causality: Frisk et al. (2012),
-  "Diagnosability analysis considering causal interpretations for differential constraints", IEEE Trans. SMC A
-  42(5)), with the library faultdiagnosistoolbox (Frisk, Krysander, Jung (2017), IFAC World Congress). Right
-  for almost all values of the coefficients, and so the best case.
-* Rank: with this vehicle's coefficients, is there a residual of the linear model, N(s) H(s) = 0, that
-  responds to fault i and not to fault j?
+* Rank: is there a residual of the linear model, N(s) H(s) = 0, that responds to fault i and not to fault j?
 * Strong (Chen, Patton (1999), "Robust model-based fault diagnosis for dynamic systems"; Nyberg (2002),
   "Criterions for detectability and strong detectability of faults in linear systems", Int. J. Control 75(7)):
   does such a residual also stay away from zero while fault i is constant, N(0) F_i != 0?
@@ -29,13 +23,9 @@ from scipy.sparse.csgraph import connected_components
 from quadftc_model.vehicle import Vehicle
 from quadftc_theory.vehicle_equations import CHOICES, Assumptions, LinearModel, vehicle_model
 
-# Whether residuals may integrate, differentiate, or both: our name, and that of the library.
-CAUSALITIES = {"mixed": "mixed", "integral": "int", "derivative": "der"}
 GENERIC_S = 0.6180339887 + 0.4142135624j  # 1/s; no pole or zero of a model is there
 RANK_TOLERANCE = 1e-9  # 1; of singular values, relative to the largest
 RESPONSE_TOLERANCE = 1e-7  # 1; a residual's response to a fault of size 1 below it is rounding
-
-_DERIVATIVE, _DERIVED = 3, 2  # codes of the library for x' and x in the constraint between them
 
 Mask = NDArray[np.bool_]
 
@@ -49,44 +39,34 @@ class IsolabilityResult:
     """
 
     name: str  # the vehicle and its sensors
-    causality: str  # how differential constraints may be used: mixed, integral or derivative
     assumptions: Mapping[str, Any]  # empty for a model that is no vehicle's
     faults: tuple[str, ...]
-    detectable: Mask  # (n,) structurally
-    isolable: Mask  # (n, n) structurally
-    rank_detectable: Mask  # (n,) with the coefficients of the linear model
-    rank_isolable: Mask  # (n, n)
+    detectable: Mask  # (n,)
+    isolable: Mask  # (n, n)
     strongly_detectable: Mask  # (n,) also while the fault is constant
     strongly_isolable: Mask  # (n, n)
 
     @property
     def undetectable(self) -> tuple[str, ...]:
         """Faults that nothing responds to."""
-        return self._named(~(self.detectable & self.rank_detectable))
+        return self._named(~self.detectable)
 
     @property
     def transient(self) -> tuple[str, ...]:
         """Faults that are detected while they change only (weakly detectable)."""
-        return self._named(self.detectable & self.rank_detectable & ~self.strongly_detectable)
+        return self._named(self.detectable & ~self.strongly_detectable)
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """Sets, of two or more, of detectable faults that cannot be told apart from each other."""
-        seen = self.detectable & self.rank_detectable
-        confused = ~(self.isolable & self.rank_isolable) & np.outer(seen, seen)
+        confused = ~self.isolable & np.outer(self.detectable, self.detectable)
         count, labels = connected_components(confused & confused.T, directed=False)
         members = [self._named(labels == label) for label in range(count)]
         return tuple(group for group in members if len(group) > 1)
 
-    @property
-    def cancelled(self) -> tuple[tuple[str, str], ...]:
-        """Pairs (i, j) told apart by the structure but not with this vehicle's coefficients, which cancel."""
-        pairs = np.argwhere(self.isolable & ~self.rank_isolable)
-        return tuple((self.faults[i], self.faults[j]) for i, j in pairs)
-
     def to_dict(self) -> dict[str, Any]:
         """Everything as lists, strings and truth values, for JSON."""
-        names = [*vars(self), "undetectable", "transient", "groups", "cancelled"]
+        names = [*vars(self), "undetectable", "transient", "groups"]
         values = [getattr(self, name) for name in names]
         lists = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
         return dict(zip(names, lists, strict=True))
@@ -95,38 +75,17 @@ class IsolabilityResult:
         return tuple(self.faults[i] for i in np.flatnonzero(mask))
 
 
-def analyse(vehicle: Vehicle, assumptions: Assumptions, causality: str = "mixed") -> IsolabilityResult:
-    """Analyse a vehicle with its sensors, at first for seconds."""
+def analyse(vehicle: Vehicle, assumptions: Assumptions) -> IsolabilityResult:
+    """Analyse a vehicle with its sensors."""
     described = dataclasses.asdict(assumptions) | {"sensor_set": list(assumptions.sensor_set)}
-    result = analyse_model(vehicle_model(vehicle, assumptions), causality)
+    result = analyse_model(vehicle_model(vehicle, assumptions))
     return dataclasses.replace(result, assumptions=described)
 
 
-def analyse_model(model: LinearModel, causality: str = "mixed") -> IsolabilityResult:
+def analyse_model(model: LinearModel) -> IsolabilityResult:
     """Analyse any model; see :func:`analyse`."""
-    if causality not in CAUSALITIES:
-        raise ValueError(f"causality = {causality!r}: expected one of {', '.join(CAUSALITIES)}")
-    structural, strong = structural_isolability(model, causality), strong_isolability(model)
-    strong = tuple(each & limit for each, limit in zip(strong, structural, strict=True))
-    masks = (*structural, *rank_isolability(model), *strong)
-    return IsolabilityResult(model.name, causality, {}, model.faults, *masks)
-
-
-def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Mask]:
-    """Detectable faults (n,) and isolability (n, n), by structural analysis."""
-    from faultdiagnosistoolbox import DiagnosisModel  # takes seconds
-
-    # unknowns: states, derivatives of states, others; an equation x' = dx/dt for each state comes last
-    count, others = len(model.states), model.B.shape[1]
-    used = np.hstack([model.A, model.E, model.B]) != 0.0
-    constraints = np.pad(np.kron([_DERIVED, _DERIVATIVE], np.eye(count)), ((0, 0), (0, others)))
-    unknowns = np.vstack([used, constraints]).astype(np.int64)
-    faults = np.pad(model.F != 0.0, ((0, count), (0, 0))).astype(np.int64)
-    structure = {"type": "MatrixStruc", "X": unknowns, "F": faults, "Z": [], "f": list(model.faults)}
-    library_model = DiagnosisModel(structure, name=model.name)
-    found, _ = library_model.DetectabilityAnalysis(causality=CAUSALITIES[causality])
-    not_isolable = library_model.IsolabilityAnalysis(causality=CAUSALITIES[causality])
-    return np.isin(model.faults, found), np.asarray(not_isolable) == 0
+    masks = *rank_isolability(model), *strong_isolability(model)
+    return IsolabilityResult(model.name, {}, model.faults, *masks)
 
 
 def rank_isolability(model: LinearModel) -> tuple[Mask, Mask]:
@@ -190,13 +149,11 @@ def _responses(unknowns: NDArray[Any], blocks: NDArray[Any], faults: NDArray[Any
 def isolability_lines(result: IsolabilityResult) -> list[str]:
     """What was assumed, and what the matrix says, in lines of plain text."""
     assumed = [words[result.assumptions[key]] for key, words in CHOICES.items() if key in result.assumptions]
-    lines = [f"{result.name}: {', '.join([*assumed, f'{result.causality} causality'])}"]
-    pairs = [" / ".join(pair) for pair in dict.fromkeys(tuple(sorted(pair)) for pair in result.cancelled)]
+    lines = [": ".join(filter(None, (result.name, ", ".join(assumed))))]
     for meaning, items in (
         ("cannot be detected", result.undetectable),
         ("detected only while they change", result.transient),
         ("cannot be told apart", [" / ".join(group) for group in result.groups]),
-        ("told apart by structure only, coefficients cancel", pairs),
     ):
         if items:
             lines.append(f"{meaning}: {', '.join(items)}")

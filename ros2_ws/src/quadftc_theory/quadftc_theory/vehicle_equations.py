@@ -97,10 +97,10 @@ class Assumptions:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Equations 0 = E x' + A x + B w + F f + known signals, linear around one motion, with their structure.
+    """Equations 0 = E x' + A x + B w + F f + known signals, linear around one motion.
 
     The states x are the unknowns of which derivatives appear, w the other unknowns, f the faults. A fault
-    must be in exactly one equation, as the structural analysis asks: else ValueError.
+    must be in exactly one equation, as its size does not count: else ValueError.
     """
 
     name: str

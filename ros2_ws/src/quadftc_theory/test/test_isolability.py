@@ -14,12 +14,9 @@ from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_rates, quaternion_from_euler, to_earth
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.isolability import (
-    CAUSALITIES,
     analyse,
     analyse_model,
-    rank_isolability,
     strong_isolability,
-    structural_isolability,
 )
 from quadftc_theory.vehicle_equations import (
     SENSORS,
@@ -51,8 +48,8 @@ EVERY_CASE = pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(ma
 model_of, analyse_once = functools.cache(vehicle_model), functools.cache(analyse)
 
 
-def analysed(vehicle=QBALL, causality="mixed", **assumptions):
-    return analyse_once(vehicle, Assumptions(**assumptions), causality)
+def analysed(vehicle=QBALL, **assumptions):
+    return analyse_once(vehicle, Assumptions(**assumptions))
 
 
 def entry(result, matrix, first, second):
@@ -68,8 +65,7 @@ def hexarotor():
     return dataclasses.replace(QBALL, name="hexarotor", rotors=rotors)
 
 
-@pytest.mark.parametrize("causality", CAUSALITIES)
-def test_electric_motor_has_the_isolability_that_its_tutorial_states(causality):
+def test_electric_motor_has_the_isolability_that_its_tutorial_states():
     # faultdiagnosistoolbox.github.io, "Isolability analysis and sensor placement": all faults are detected,
     # f_w and f_T are isolated uniquely, f_R and f_i from the other two but not from each other
     symbols = "V yi yw yT dI I dw w T Tm Tl fR fi fw fT"
@@ -91,10 +87,9 @@ def test_electric_motor_has_the_isolability_that_its_tutorial_states(causality):
         faults=["fR", "fi", "fw", "fT"],
         point={"I": 1.3, "w": 2.1, "fR": 0.0},
     )
-    result = analyse_model(model, causality)
+    result = analyse_model(model)
     assert result.undetectable == ()
     assert result.groups == (("fR", "fi"),)
-    np.testing.assert_array_equal(result.isolable, result.rank_isolable)
 
 
 @pytest.mark.parametrize("motion", ["hover", "turn"])
@@ -103,7 +98,7 @@ def test_torque_fault_and_disturbance_of_one_axis_are_never_told_apart(sensors, 
     result = analysed(sensor_set=sensors, motion=motion)
     for axis in AXES:
         assert not entry(result, "isolable", f"actuator {axis}", f"disturbance {axis}")
-        assert not entry(result, "rank_isolable", f"disturbance {axis}", f"actuator {axis}")
+        assert not entry(result, "isolable", f"disturbance {axis}", f"actuator {axis}")
 
 
 def test_imu_attitude_and_gyro_tell_all_else_apart_where_disturbances_are_single_faults():
@@ -158,26 +153,9 @@ def test_constant_gyro_fault_is_told_from_an_attitude_fault_by_rotational_drag_a
     assert entry(result, "strongly_isolable", "gyro roll", "attitude roll") is (drag > 0.0)
 
 
-def test_hexarotor_confuses_opposite_rotors_although_its_structure_does_not():
+def test_hexarotor_confuses_opposite_rotors():
     result = analysed(hexarotor(), sensor_set=("attitude", "gyro"), actuators="rotors")
-    opposite = [(f"rotor {number}", f"rotor {number + 3}") for number in (1, 2, 3)]
-    assert sorted(result.cancelled) == sorted(opposite + [pair[::-1] for pair in opposite])
-    assert result.groups == tuple(opposite)
-
-
-@pytest.mark.parametrize("sensors", [("attitude",), ("attitude", "gyro"), IMU], ids="+".join)
-@pytest.mark.parametrize("disturbances", ["faults", "unknown_inputs"])
-def test_causality_makes_no_difference_in_hover_with_torques_commanded(sensors, disturbances):
-    model = model_of(QBALL, Assumptions(sensor_set=sensors, disturbances=disturbances))
-    mixed = structural_isolability(model, "mixed")
-    for causality in ("integral", "derivative"):
-        np.testing.assert_array_equal(structural_isolability(model, causality)[1], mixed[1])
-
-
-def test_rotors_of_a_quadrotor_need_a_derivative_of_the_gyro_to_be_told_apart():
-    case = {"sensor_set": ("attitude", "gyro"), "actuators": "rotors"}
-    assert analysed(causality="derivative", **case).groups == ()
-    assert analysed(causality="integral", **case).groups == (("rotor 1", "rotor 2"), ("rotor 3", "rotor 4"))
+    assert result.groups == tuple((f"rotor {number}", f"rotor {number + 3}") for number in (1, 2, 3))
 
 
 @settings(max_examples=settings().max_examples // 10)
@@ -186,40 +164,16 @@ def test_rotors_of_a_quadrotor_need_a_derivative_of_the_gyro_to_be_told_apart():
     more=st.sampled_from(list(SENSORS)),
     motion=st.sampled_from(["hover", "turn"]),
     disturbances=st.sampled_from(["faults", "unknown_inputs"]),
-    causality=st.sampled_from(list(CAUSALITIES)),
 )
-def test_one_more_sensor_never_takes_away_what_could_be_told_apart(
-    sensors, more, motion, disturbances, causality
-):
-    assumed = {"motion": motion, "disturbances": disturbances, "causality": causality}
+def test_one_more_sensor_never_takes_away_what_could_be_told_apart(sensors, more, motion, disturbances):
+    assumed = {"motion": motion, "disturbances": disturbances}
     fewer = analysed(sensor_set=tuple(sorted(sensors)), **assumed)
     richer = analysed(sensor_set=tuple(sorted({*sensors, more})), **assumed)
     kept = [richer.faults.index(fault) for fault in fewer.faults]
-    for mask in ("detectable", "rank_detectable", "strongly_detectable"):
+    for mask in ("detectable", "strongly_detectable"):
         assert np.all(getattr(fewer, mask) <= getattr(richer, mask)[kept]), mask
-    for mask in ("isolable", "rank_isolable", "strongly_isolable"):
+    for mask in ("isolable", "strongly_isolable"):
         assert np.all(getattr(fewer, mask) <= getattr(richer, mask)[np.ix_(kept, kept)]), mask
-
-
-@EVERY_CASE
-def test_structural_answer_is_the_rank_condition_with_random_coefficients(case):
-    model = model_of(QBALL, Assumptions(**case))
-    generator = np.random.default_rng(5)
-    coefficients = {
-        name: getattr(model, name) * generator.uniform(0.5, 2.0, getattr(model, name).shape) for name in "EAB"
-    }
-    detectable, isolable = structural_isolability(model, "mixed")
-    rank_detectable, rank_isolable = rank_isolability(dataclasses.replace(model, **coefficients))
-    np.testing.assert_array_equal(rank_detectable, detectable)
-    np.testing.assert_array_equal(rank_isolable, isolable)
-
-
-@pytest.mark.parametrize("name", ["qball_x4", pytest.param("crazyflie_2x", marks=pytest.mark.thorough)])
-@EVERY_CASE
-def test_coefficients_of_a_quadrotor_cancel_nowhere(case, name):
-    result = analysed(load_vehicle(name), **case)
-    np.testing.assert_array_equal(result.rank_detectable, result.detectable)
-    np.testing.assert_array_equal(result.rank_isolable, result.isolable)
 
 
 @EVERY_CASE
@@ -233,17 +187,6 @@ def test_strong_detectability_is_the_limit_of_the_residuals_at_low_frequency(cas
     blind = left[:, np.count_nonzero(size > 1e-12 * size[0]) :]
     response = np.linalg.norm(blind.T @ np.sign(np.abs(model.F)), axis=0)
     np.testing.assert_array_equal(response > 1e-5, strongly)
-
-
-@pytest.mark.parametrize("causality", ["mixed", "integral", "derivative"])
-def test_steady_turn_has_the_structure_of_any_motion(causality):
-    assumptions = Assumptions(sensor_set=IMU, motion="turn", disturbances="unknown_inputs")
-    generator = np.random.default_rng(11)
-    point = {name: generator.uniform(0.2, 0.6) for name in motion_point(QBALL, assumptions)}
-    turn = structural_isolability(model_of(QBALL, assumptions), causality)
-    anywhere = structural_isolability(vehicle_model(QBALL, assumptions, point), causality)
-    np.testing.assert_array_equal(turn[0], anywhere[0])
-    np.testing.assert_array_equal(turn[1], anywhere[1])
 
 
 @pytest.mark.parametrize("air", ["still", "no_drag"])
@@ -326,17 +269,6 @@ def test_result_survives_json():
 def test_wrong_assumption_is_refused(wrong, line):
     with pytest.raises(ValueError, match=line):
         Assumptions(**wrong)
-
-
-def test_unknown_causality_is_refused():
-    with pytest.raises(ValueError, match="causality = 'int': expected one of mixed, integral, derivative"):
-        analysed(causality="int")
-
-
-def test_fault_in_two_equations_is_refused():
-    x, f = sympy.symbols("x f")
-    with pytest.raises(ValueError, match="fault 'f' is in 2 equations, expected 1"):
-        linearised("twice", [x + f, x - f], states=[], unknowns=["x"], faults=["f"], point={})
 
 
 VECTORS = {
