@@ -9,10 +9,9 @@ import pytest
 
 from quadftc_replay.calibration import Calibration, find_level, level_for, load_calibrations
 from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.inspection.ending import Ending
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.found import CERTAIN, Found, make_finding
-from quadftc_replay.inspection.verdict import Level
+from quadftc_replay.inspection.verdict import Ending, Level
 from quadftc_replay.inspection.wording import BELOW, REQUIRED, apply_level, make_verdict
 
 GYRO = make_finding("gyro", "x", "offset", 3.0, probability=0.8, size=0.2, unit="rad/s")
@@ -79,7 +78,7 @@ def told(*findings):
     time = np.arange(0.0, 10.0, 0.01)
     log = FlightLog(path=Path("log"), format="ArduPilot BIN", gyros={"": Signal(time, np.zeros((1000, 3)))})
     flight, judged = prepare(log), [*REQUIRED]
-    ending = Ending("in flight", 10.0, None, "the log ends in flight")
+    ending = Ending(kind="in flight", time_s=10.0, impact_s=None, sentence="the log ends in flight")
     found = [Found(each) for each in findings]
     verdict = make_verdict(flight, None, ending, found, [], judged, [], None)
     return verdict, apply_level(verdict, flight, LEVEL)

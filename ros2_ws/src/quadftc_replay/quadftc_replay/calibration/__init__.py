@@ -50,9 +50,9 @@ class Calibration(NamedTuple):
         return rank / ((self.flights + 1) * self.hours / self.flights)
 
 
-def load_calibrations(path: Path = FLIGHTS) -> tuple[Calibration, ...]:
+def load_calibrations() -> tuple[Calibration, ...]:
     """Read the flights that come with this version of the judge."""
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = json.loads(FLIGHTS.read_text(encoding="utf-8"))
     return tuple(
         Calibration(name, each["flights"], each["hours"], tuple(each["scores"]))
         for name, each in content["autopilots"].items()

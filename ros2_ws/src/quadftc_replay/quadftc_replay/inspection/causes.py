@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from quadftc_replay.flight_log import Event
-from quadftc_replay.inspection.ending import Ending
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found
-from quadftc_replay.inspection.verdict import Finding
+from quadftc_replay.inspection.verdict import Ending, Finding
 
 SUFFICES = 0.7  # probability of a finding that is a cause
 SLACK = 0.6  # s; tests over windows see what begins so much earlier
@@ -56,7 +55,9 @@ def first_cause(
     causes, follows = list[Found](), list[Found]()
     for each in left:
         finding = each.finding
-        out = ending.kind == "out of control" and finding.onset_s > ending.time and finding.kind not in FACTS
+        out = (
+            ending.kind == "out of control" and finding.onset_s > ending.time_s and finding.kind not in FACTS
+        )
         is_reset = finding.component == "attitude" and any(
             abs(event.time - finding.onset_s) < RESET and any(word in event.text for word in RESETS)
             for event in events

@@ -6,8 +6,6 @@ its opposite, or it turns against the torque that is asked for, or an impact fol
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
-
 import numpy as np
 
 from quadftc_model.rotations import earth_z_in_body
@@ -15,6 +13,7 @@ from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, rotor_level
 from quadftc_replay.inspection.rotor_step import torque_of
+from quadftc_replay.inspection.verdict import Ending, EndKind
 from quadftc_replay.inspection.whitening import Floats, runs_of
 
 UPSET = np.radians(60.0)  # tilt
@@ -27,17 +26,6 @@ FALLS = 3.0  # m/s; no landing is that fast
 FALLING = 0.6  # 1; of gravity, felt by a vehicle that falls
 BEFORE = 3.0  # s; in which a vehicle falls before an impact
 
-Kind = Literal["in flight", "landed", "switched off in the air", "hit the ground", "out of control"]
-
-
-class Ending(NamedTuple):
-    """How a flight ended."""
-
-    kind: Kind
-    time: float  # s; when it began to end so
-    impact: float | None  # s
-    sentence: str
-
 
 def ending_of(flight: Flight) -> Ending:
     """Say how a flight ended."""
@@ -47,19 +35,23 @@ def ending_of(flight: Flight) -> Ending:
     off = _stopped_at(flight, impact)
     if off is not None and (upset is None or off < upset) and _falls(log, off, impact):
         said = f"the rotors were stopped in the air at {off:.2f} s{hit}"
-        return Ending("switched off in the air", off, impact, said)
+        return _ending("switched off in the air", off, impact, said)
     if upset is not None:
-        return Ending("out of control", upset, impact, f"out of control from {upset:.2f} s{hit}")
+        return _ending("out of control", upset, impact, f"out of control from {upset:.2f} s{hit}")
     stops = _stopped_at(flight, None)
     if stops is not None and impact is not None and abs(stops - impact) > BEFORE:
         stops = None
     fall = None if impact is None else _fall_before(log, impact)
     if impact is not None and (stops is None or (fall is not None and fall > FALLS)):
         at = "" if fall is None else f" at {fall:.0f} m/s"
-        return Ending("hit the ground", impact, impact, f"it hit the ground{at} at {impact:.2f} s")
+        return _ending("hit the ground", impact, impact, f"it hit the ground{at} at {impact:.2f} s")
     if stops is not None:
-        return Ending("landed", stops, impact, f"it landed and stopped its rotors at {stops:.2f} s")
-    return Ending("in flight", log.end, None, "the log ends in flight")
+        return _ending("landed", stops, impact, f"it landed and stopped its rotors at {stops:.2f} s")
+    return _ending("in flight", log.end, None, "the log ends in flight")
+
+
+def _ending(kind: EndKind, time: float, impact: float | None, said: str) -> Ending:
+    return Ending(kind=kind, time_s=time, impact_s=impact, sentence=said)
 
 
 def upset_at(flight: Flight) -> float | None:

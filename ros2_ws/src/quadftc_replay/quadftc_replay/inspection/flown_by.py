@@ -13,7 +13,7 @@ import numpy as np
 
 from quadftc_model.rotations import euler_from_quaternion, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
 from quadftc_replay.inspection.path import attitude_at
@@ -51,17 +51,21 @@ def _positions(flight: Flight) -> Iterator[Found]:
             f"the position controller flies by a position {np.linalg.norm(middle):.3g} m from the"
             f" estimator's, east {middle[0]:+.3g}, north {middle[1]:+.3g}, up {middle[2]:+.3g} m"
         )
-        lines = {name: apart[:, k] for k, name in enumerate(("east", "north", "up"))}
-        yield _found(
-            flight.log,
-            ("position", ("east", "north", "up")[axis], "offset"),
-            (time, run),
-            (float(middle[axis]), max(scale(apart[run, axis] - middle[axis]), SMALLEST), "m"),
-            float(np.median(size[run] / limit[run])),
-            ("gps",),
-            said,
-            ("position of the controller less that of the estimator", lines),
+        names = ("east", "north", "up")
+        sigma = max(scale(apart[run, axis] - middle[axis]), SMALLEST)
+        finding = make_finding(
+            *("position", names[axis], "offset", float(time[run.start])),
+            end_s=_end(flight, time, run),
+            size=float(middle[axis]),
+            sigma=sigma,
+            unit="m",
+            probability=confidence(float(np.median(size[run] / limit[run])), 1.0),
+            ambiguous_with=("gps",),
+            evidence=(said,),
         )
+        lines = {name: apart[:, k] for k, name in enumerate(names)}
+        title = "position of the controller less that of the estimator"
+        yield make_found(finding, Curve(title, "m", time, lines), True)
         return
 
 
@@ -84,16 +88,18 @@ def _headings(flight: Flight) -> Iterator[Found]:
     for run in _lasting(time, np.abs(np.nan_to_num(angle)) > TURNED + LEVEL * sigma):
         middle = float(np.median(angle[run]))
         said = f"the lean that the position controller sees is turned by {np.degrees(middle):+.0f} deg"
-        yield _found(
-            log,
-            ("attitude", "yaw", "offset"),
-            (time, run),
-            (middle, sigma, "rad"),
-            abs(middle) / (TURNED + LEVEL * sigma),
-            ("gyro/z",),
-            said + " about the vertical: its heading is not the estimator's",
-            ("heading of the controller less that of the estimator", {"angle": angle}),
+        finding = make_finding(
+            *("attitude", "yaw", "offset", float(time[run.start])),
+            end_s=_end(flight, time, run),
+            size=middle,
+            sigma=sigma,
+            unit="rad",
+            probability=confidence(abs(middle), TURNED + LEVEL * sigma),
+            ambiguous_with=("gyro/z",),
+            evidence=(said + " about the vertical: its heading is not the estimator's",),
         )
+        title = "heading of the controller less that of the estimator"
+        yield make_found(finding, Curve(title, "rad", time, {"angle": angle}), True)
         return
 
 
@@ -108,26 +114,7 @@ def _lasting(time: Floats, mask: np.ndarray) -> list[slice]:
     return [run for run in runs_of(mask) if time[run.stop - 1] - time[run.start] >= LASTS]
 
 
-def _found(
-    log: FlightLog,
-    name: tuple[str, str, str],
-    where: tuple[Floats, slice],
-    size: tuple[float, float, str],
-    ratio: float,
-    others: tuple[str, ...],
-    said: str,
-    drawn: tuple[str, dict[str, Floats]],
-) -> Found:
-    time, run = where
-    onset, last = float(time[run.start]), float(time[run.stop - 1])
-    finding = make_finding(
-        *(*name, onset),
-        end_s=None if log.end - last < LASTS else last,
-        size=size[0],
-        sigma=size[1],
-        unit=size[2],
-        probability=confidence(ratio, 1.0),
-        ambiguous_with=others,
-        evidence=(said,),
-    )
-    return make_found(finding, Curve(drawn[0], size[2], time, drawn[1]), True)
+def _end(flight: Flight, time: Floats, run: slice) -> float | None:
+    """Return when a run ends [s]; None: it lasts to the end of the log."""
+    last = float(time[run.stop - 1])
+    return None if flight.log.end - last < LASTS else last

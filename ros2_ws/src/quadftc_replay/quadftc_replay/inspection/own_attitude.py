@@ -41,7 +41,6 @@ NEAR = 5.0  # s; around the largest offset, over which an attitude is asked
 class OwnEstimate(NamedTuple):
     """What the filter says."""
 
-    attitude: Signal  # (n, 4) x, y, z, w; heading from 0
     offset: Signal  # (n, 3) of the gyro [rad/s]
     rates: Floats  # (n, 3) that it got [rad/s]
     forces: Floats  # (n, 3) [m/s²]
@@ -50,8 +49,7 @@ class OwnEstimate(NamedTuple):
 def _run(time: Floats, rates: Floats, forces: Floats) -> OwnEstimate:
     filter_ = VQF(float(np.median(np.diff(time))), biasClip=CLIP, biasSigmaInit=INITIAL)
     said = filter_.updateBatch(np.ascontiguousarray(rates), np.ascontiguousarray(forces))
-    q, offset = (np.asarray(said[name], np.float64) for name in ("quat6D", "bias"))
-    return OwnEstimate(Signal(time, q[:, [1, 2, 3, 0]]), Signal(time, offset), rates, forces)
+    return OwnEstimate(Signal(time, np.asarray(said["bias"], np.float64)), rates, forces)
 
 
 def estimate(gyro: Signal, accelerometer: Signal) -> OwnEstimate | None:

@@ -32,6 +32,7 @@ Kind = Literal[
     "rise",
     "unknown",
 ]
+EndKind = Literal["in flight", "landed", "switched off in the air", "hit the ground", "out of control"]
 
 
 class _Strict(BaseModel):
@@ -85,7 +86,7 @@ class Model(_Strict):
 class Ending(_Strict):
     """How the flight ended."""
 
-    kind: Literal["in flight", "landed", "switched off in the air", "hit the ground", "out of control"]
+    kind: EndKind
     time_s: float = Field(description="when it began to end so; in flight: the end of the log")
     impact_s: float | None = Field(description="when it hit the ground; null: it did not, or gently")
     sentence: str

@@ -57,17 +57,17 @@ def find_gaps(time: Floats) -> Mask:
     return np.concatenate([[False], steps > GAP * usual])
 
 
-def fit_autoregression(changes: Floats, order: int = ORDER) -> Floats:
-    """Fit A(z) = 1 + a_1 z^-1 + ..., (order + 1,), to a stationary signal (n,) by Yule and Walker."""
-    if len(changes) < 4 * order:
-        return np.concatenate([[1.0], np.zeros(order)])
+def fit_autoregression(changes: Floats) -> Floats:
+    """Fit A(z) = 1 + a_1 z^-1 + ..., (ORDER + 1,), to a stationary signal (n,) by Yule and Walker."""
+    if len(changes) < 4 * ORDER:
+        return np.eye(1, ORDER + 1)[0]
     bound = CLIP * scale(changes - np.median(changes))
     clipped = np.clip(changes, -bound, bound) if bound > 0.0 else changes
     count = len(clipped)
     if not np.any(clipped):
-        return np.concatenate([[1.0], np.zeros(order)])
+        return np.eye(1, ORDER + 1)[0]
     spectrum = np.abs(np.fft.rfft(clipped, 2 * count)) ** 2
-    covariance = np.fft.irfft(spectrum)[: order + 1] / count
+    covariance = np.fft.irfft(spectrum)[: ORDER + 1] / count
     covariance[0] *= 1.0 + 1e-6
     return np.concatenate([[1.0], -linalg.solve_toeplitz(covariance[:-1], covariance[1:])])
 
@@ -82,9 +82,8 @@ def find_steps(time: Floats, values: Floats, fitted: Mask, floor: float) -> Step
     changes = np.where(dark, 0.0, changes)
     filter_ = fit_autoregression(changes[fitted & ~dark])
     white = signal.lfilter(filter_, [1.0], changes)
-    order = len(filter_) - 1
-    size = np.correlate(np.concatenate([white, np.zeros(order)]), filter_, "valid") / np.sum(filter_**2)
-    reach = order + 1
+    size = np.correlate(np.concatenate([white, np.zeros(ORDER)]), filter_, "valid") / np.sum(filter_**2)
+    reach = ORDER + 1
     near = ndimage.binary_dilation(dark, np.ones(2 * reach + 1, np.bool_))
     near[:reach] = near[-reach:] = True
     size = np.where(near, 0.0, size)
@@ -96,8 +95,7 @@ def is_pulse(steps: Steps, row: int, reach: int) -> bool:
 
     Two steps, one here and one of the opposite size nearby, then explain w far better than this one alone.
     """
-    order = len(steps.filter) - 1
-    first, last = max(row - reach, 0), min(row + reach + order + 1, len(steps.white))
+    first, last = max(row - reach, 0), min(row + reach + ORDER + 1, len(steps.white))
     seen = steps.white[first:last]
 
     def signature(at: int) -> Floats:

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.inspection.causes import reported_failure
-from quadftc_replay.inspection.ending import Ending
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found
 from quadftc_replay.inspection.identification import Identified
 from quadftc_replay.inspection.limits import limit_moments
 from quadftc_replay.inspection.verdict import (
     VERSION,
+    Ending,
     Finding,
     Level,
     Model,
@@ -23,7 +23,6 @@ from quadftc_replay.inspection.verdict import (
     join,
     show,
 )
-from quadftc_replay.inspection.verdict import Ending as SaidEnding
 
 REQUIRED = ("gyro", "accelerometer", "attitude", "rotor", "battery")  # what can bring a vehicle down
 SENTENCE_FINDINGS = 3  # findings that the sentence names
@@ -64,9 +63,7 @@ def make_verdict(
         sentence=summarise(flight, outcome, findings, judged, missing, ending),
         level=None,
         findings=tuple(findings),
-        ending=SaidEnding(
-            kind=ending.kind, time_s=ending.time, impact_s=ending.impact, sentence=ending.sentence
-        ),
+        ending=ending,
         timeline=tuple(sorted(_moments(flight, findings, follows, ending), key=lambda each: each.time_s)),
         not_judged=tuple(missing),
         judged=tuple(judged),
@@ -119,7 +116,7 @@ def summarise(
     findings: Sequence[Finding],
     judged: Sequence[str],
     missing: Sequence[NotJudged],
-    ending: Ending | SaidEnding,
+    ending: Ending,
     doubtful: str = "",
 ) -> str:
     """Say the verdict in one sentence, what matters most first; ``doubtful`` tells of findings left out."""
@@ -180,7 +177,7 @@ def _moments(
     for each in follows:
         finding = each.finding
         yield Moment(time_s=finding.onset_s, source="diagnose", text=f"it follows: {_describe(finding)}")
-    yield Moment(time_s=ending.time, source="diagnose", text=ending.sentence)
+    yield Moment(time_s=ending.time_s, source="diagnose", text=ending.sentence)
     yield from limit_moments(flight)
     for event in flight.log.events:
         yield Moment(time_s=event.time, source=event.source, text=event.text)
@@ -194,13 +191,9 @@ def _notes(flight: Flight) -> Iterator[str]:
     if not flight.phases_known:
         yield "neither rotors nor thrust tell when it flies: the whole log was judged"
     if log.attitude is not None and log.attitude_from_gyro is not False:
-        is_sure = log.attitude_from_gyro
-        words = (
-            "the attitude is computed from this gyro"
-            if is_sure
-            else "the attitude may be computed from this gyro"
-        )
-        yield f"{words}: an error of the gyro that it followed does not show between them"
+        may = "is" if log.attitude_from_gyro else "may be"
+        said = "an error of the gyro that it followed does not show between them"
+        yield f"the attitude {may} computed from this gyro: {said}"
 
 
 def _model(model: Identified) -> Model:

@@ -145,8 +145,8 @@ class _Watched(io.BufferedReader):
         return data
 
 
-def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
-    """Read some topics; BagError if the file is no log."""
+def read_contents(path: Path) -> Contents:
+    """Read the topics; BagError if the file is no log."""
     from pyulog import ULog  # takes its time, and is needed here only
 
     buffers: dict[str, Messages] = {}
@@ -162,7 +162,7 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
     try:
         with path.open("rb", 0) as file, contextlib.redirect_stdout(io.StringIO()):  # the library prints
             stream = _Watched(file)
-            log = Thinned(stream, list(topics))
+            log = Thinned(stream, list(TOPICS))
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
     except MemoryError:
@@ -234,7 +234,7 @@ def _add_states(signals: Signals, log: Contents) -> None:
     if data := log.get(ATTITUDE):
         if (q_wxyz := vectors(data, "q", 4)) is not None:
             signals.add("attitude", stamps_of(data), enu_flu_from_ned_frd(q_wxyz), ATTITUDE)
-        signals.notes += resets(data)
+        signals.notes += _resets(data)
     if data := log.get(POSITION):
         fields = {"position": "x y z", "velocity": "vx vy vz", "acceleration": "ax ay az"}
         for field, names in fields.items():
@@ -374,13 +374,13 @@ def _layout(parameters: Mapping[str, float], count: int) -> Layout | None:
     return frame_layout(rotors, frame) if rotors == count else None
 
 
-def resets(data: Dataset, start_ns: int | None = None) -> list[str]:
-    """Say when PX4's estimator has reset the attitude, after ``start_ns`` or the first attitude."""
+def _resets(data: Dataset) -> list[str]:
+    """Say when PX4's estimator has reset the attitude, after the first one."""
     counter = data.get("quat_reset_counter", np.zeros(1)).astype(np.int64)
     rows = np.flatnonzero(np.diff(counter) != 0) + 1
     if not len(rows):
         return []
     stamp_ns = stamps_of(data)
-    times = (stamp_ns[rows] - (stamp_ns[0] if start_ns is None else start_ns)) / NANOSECONDS_PER_SECOND
+    times = (stamp_ns[rows] - stamp_ns[0]) / NANOSECONDS_PER_SECOND
     shown = ", ".join(f"{time:.2f} s" for time in times[:SHOWN]) + (", ..." if len(times) > SHOWN else "")
     return [f"the estimator of PX4 has reset the attitude {len(rows)} times, at {shown}: no fault"]

@@ -40,13 +40,13 @@ class UlogWriter:
         self._parameters: list[bytes] = []
         self._formats: dict[str, bytes] = {}
         self._types = {name: np.dtype(code) for name, code in TYPES.items()}
-        self._topics: dict[tuple[str, int], int] = {}  # topic and instance: number
+        self._topics: dict[str, int] = {}  # topic: number
         self._rows: list[tuple[int, bytes]] = []  # stamp [µs], message
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the topics, in the order in which they were added first."""
-        return tuple(dict.fromkeys(topic for topic, _ in self._topics))
+        return tuple(self._topics)
 
     def set(self, name: str, value: float) -> None:
         """Note a parameter, whole numbers as such."""
@@ -54,14 +54,14 @@ class UlogWriter:
         key = f"{kind} {name}".encode()
         self._parameters.append(_message("P", bytes([len(key)]) + key + struct.pack(packed, value)))
 
-    def add(self, topic: str, fields: Mapping[str, ArrayLike], instance: int = 0) -> None:
+    def add(self, topic: str, fields: Mapping[str, ArrayLike]) -> None:
         """Add samples: ``fields`` are "type name" or "type[k] name" to (n,), (n, k) or one value.
 
         The first is ``uint64_t timestamp`` [µs]. A type may be one of `define`. A topic has one format;
         another one is a ValueError.
         """
         self._define(topic, list(fields))
-        number = self._topics.setdefault((topic, instance), len(self._topics))
+        number = self._topics.setdefault(topic, len(self._topics))
         stamps = np.asarray(fields[STAMP], np.int64)
         table = np.zeros(len(stamps), [self._column(each) for each in fields])
         for each, values in fields.items():
@@ -89,8 +89,8 @@ class UlogWriter:
         begin = [HEADER.pack(MAGIC, VERSION, start), _message("B", FLAGS)]
         rows = (row for _, row in sorted(self._rows, key=lambda each: each[0]))
         topics = (
-            _message("A", struct.pack("<BH", instance, number) + topic.encode())
-            for (topic, instance), number in self._topics.items()
+            _message("A", struct.pack("<BH", 0, number) + topic.encode())
+            for topic, number in self._topics.items()
         )
         described = [*begin, *self._formats.values(), *self._parameters, *topics]
         path.write_bytes(b"".join([*described, *rows]))
