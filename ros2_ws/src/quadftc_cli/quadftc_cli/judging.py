@@ -20,12 +20,10 @@ def judge(checks: Mapping[str, Checks], screen: Console, junit: Path | None, com
 
     Return the exit code.
     """
-    for name, each in checks.items():
-        for check in (check for check in each if not check["passed"]):
-            what = f"{check['metric']} {check['axis'] or ''}".rstrip()
-            value = "-" if check["value"] is None else f"{check['value']:.4f}"
-            screen.print(f"[red]FAILED[/] {name}: {what} = {value}, required {check['bound']}")
+    cases = [case for name, each in checks.items() for case in check_cases(name, each)]
+    failed = [case for case in cases if case.failures]
+    for case in failed:
+        screen.print(f"[red]FAILED[/] {case.group}: {case.failures[0].message}")
     if junit is not None:
-        cases = [case for name, each in checks.items() for case in check_cases(name, each)]
         screen.print(f"JUnit: {write_junit(junit, f'quadftc {command}', cases)}")
-    return GOOD if all(check["passed"] for each in checks.values() for check in each) else CHECK_FAILED
+    return CHECK_FAILED if failed else GOOD

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_OF_ROTORS
@@ -30,16 +30,29 @@ class Confusion(NamedTuple):
     rows: Mapping[str, tuple[str, Sequence[Cell]]]
 
 
-def confusion_of(
-    label: str, seconds: Mapping[str, Mapping[str, Any]], columns: Sequence[str] = COLUMNS
-) -> Confusion | None:
-    """Return the matrix from its times [s], by what is faulty and claim; None if there are none."""
-    rows: dict[str, tuple[str, Sequence[Cell]]] = {}
-    for true, said in seconds.items():
-        if time := said[TIME]:
-            cells = [_cell(true, claim, said[claim] / time) for claim in columns]
-            rows[true] = (f"{plain(time)} s", cells)
-    return Confusion(label, rows) if rows else None
+def confusions(
+    times: Iterable[tuple[str, Mapping[str, Mapping[str, Any]]]], columns: Sequence[str] = COLUMNS
+) -> list[Confusion]:
+    """Return matrices by their labels and times [s], or times of each axis, by what is faulty and claim.
+
+    Those without any time are left out, and of rotors those in which none is ever faulty.
+    """
+    found: list[Confusion] = []
+    for label, matrix in times:
+        rows: dict[str, tuple[str, Sequence[Cell]]] = {}
+        for true, row in matrix.items():
+            said = {claim: _total(time) for claim, time in row.items()}
+            if time := said[TIME]:
+                cells = [_cell(true, claim, said[claim] / time) for claim in columns]
+                rows[true] = (f"{plain(time)} s", cells)
+        if rows and (columns == COLUMNS or "rotor" in rows):
+            found.append(Confusion(label, rows))
+    return found
+
+
+def _total(time: float | Mapping[str, float | None] | None) -> float:
+    """Return a time, or that of all axes [s]; what is not known counts as none."""
+    return sum(each or 0.0 for each in time.values()) if isinstance(time, Mapping) else time or 0.0
 
 
 def _cell(true: str, claim: str, share: float) -> Cell:

@@ -25,7 +25,7 @@ from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report import comparison as about
 from quadftc_report.claims import PAPER_SCENARIOS, Judgement, judge
 from quadftc_report.comparison import Comparison, is_ideal, metric
-from quadftc_report.confusion import COLUMNS, ROTOR_COLUMNS, Confusion, confusion_of
+from quadftc_report.confusion import COLUMNS, ROTOR_COLUMNS, Confusion, confusions
 from quadftc_report.description import Figure
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
@@ -135,9 +135,9 @@ def render(
         warnings=warnings,
         verdicts=VERDICTS,
         metric_tables=metric_tables,
-        confusion_tables=_confusions,
+        confusion_tables=functools.partial(_confusions, of="sensors", columns=COLUMNS),
         said=COLUMNS,
-        rotor_confusion_tables=_rotor_confusions,
+        rotor_confusion_tables=functools.partial(_confusions, of="rotors", columns=ROTOR_COLUMNS),
         said_of_rotors=ROTOR_COLUMNS,
         setup=_setup,
         folder=folder,
@@ -187,28 +187,10 @@ def pool_replays(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[list
     return [runs for runs in groups.values() if len(runs) > 1]
 
 
-def _confusions(comparison: Comparison[Any]) -> list[Confusion]:
-    """Which sensor each run names, over all axes."""
-    found: list[Confusion | None] = []
-    for run in comparison.runs:
-        matrix = metric(run, "sensors.confusion_s") or {}
-        seconds = {
-            true: {said: sum(time or 0.0 for time in axes.values()) for said, axes in row.items()}
-            for true, row in matrix.items()
-        }
-        found.append(confusion_of(comparison.label(run), seconds))
-    return [each for each in found if each is not None]
-
-
-def _rotor_confusions(comparison: Comparison[Any]) -> list[Confusion]:
-    """Whether each run names the rotor, a sensor or nothing; of flights in which a rotor is faulty."""
-    matrices = ((run, metric(run, "rotors.confusion_s") or {}) for run in comparison.runs)
-    found = [
-        confusion_of(comparison.label(run), matrix, ROTOR_COLUMNS)
-        for run, matrix in matrices
-        if matrix.get("rotor", {}).get("time")
-    ]
-    return [each for each in found if each is not None]
+def _confusions(comparison: Comparison[Any], of: str, columns: Sequence[str]) -> list[Confusion]:
+    """Which of the ``sensors`` or ``rotors`` each run names."""
+    times = ((comparison.label(run), metric(run, f"{of}.confusion_s") or {}) for run in comparison.runs)
+    return confusions(times, columns)
 
 
 def _setup(comparison: Comparison[Any]) -> dict[str, Facts]:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quadftc_bags.bag import BagError, read_bag
+from quadftc_flight.junit import write_file
 from quadftc_flight.live_run import is_live, live_run
 from quadftc_flight.run_directory import MissingPartError, RecordedRun, find_runs, is_replay, run_from_bag
 from quadftc_replay.replay_directory import RecordedReplay, replay_from_bag
@@ -191,14 +192,11 @@ def write_campaign_report(
     from quadftc_report.campaign_results import results_of
 
     text = render_campaign(results_of(campaign, frame, summary), directory, command_file)
-    path, part = directory / "report.html", directory / ".report.html.part"
+    path = directory / "report.html"
     try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
+        return write_file(path, text)
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise ReportError(f"{path}: cannot be written: {error.strerror or error}") from None
-    return path
 
 
 def _check_place(out: Path, folder: Path) -> None:
