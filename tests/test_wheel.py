@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import subprocess
 import sys
 import venv
@@ -13,6 +14,20 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 MOST = 8_000_000  # bytes of the wheel
+CARRIES = platform.system() == "Linux" and platform.machine() == "x86_64"
+LAWS = """
+import sys
+sys.modules["jax"] = None  # whoever loads it fails
+from quadftc_compile.engine import CEngine
+from quadftc_flight.closed_loop import loop_of
+from quadftc_flight.scenario import find_scenario, load_scenario, scenario_names
+for name in scenario_names():
+    scenario = load_scenario(find_scenario(name))
+    for scheme in scenario.schemes:
+        laws = loop_of(scenario, scenario.scheme(scheme)).laws
+        for law, library in zip(laws, CEngine(lambda words: None).prepare(laws.values())):
+            print(name, scheme, law, library and library.path.parent.name)
+"""
 
 pytestmark = pytest.mark.thorough  # pip installs 1 GB
 
@@ -34,12 +49,13 @@ def call(tmp_path_factory):
     subprocess.run(pip, check=True)
     (wheel,) = folder.glob("quadftc-*.whl")
     assert wheel.stat().st_size < MOST
+    assert wheel.name.endswith("-py3-none-linux_x86_64.whl" if CARRIES else "-py3-none-any.whl")
     venv.create(folder / "env", with_pip=True)
     home = {"PATH": os.defpath, "HOME": str(folder), **{k: v for k, v in os.environ.items() if "PIP" in k}}
     subprocess.run([folder / "env/bin/pip", "install", "--quiet", wheel], check=True, env=home)
 
-    def call(*arguments, path=os.defpath):
-        command = [folder / "env/bin/quadftc", *map(str, arguments)]
+    def call(*arguments, path=os.defpath, program="quadftc"):
+        command = [folder / "env/bin" / program, *map(str, arguments)]
         return subprocess.run(
             command, cwd=folder, env=home | {"PATH": path}, capture_output=True, text=True, check=False
         )
@@ -80,6 +96,40 @@ def test_flies_the_same_without_a_compiler_and_says_so(call, tmp_path):
     rmse = [each["metrics"]["tracking_rmse_deg"] for each in summaries]
     assert rmse[0] == pytest.approx(rmse[1])
     assert summaries[0]["passed"] == summaries[1]["passed"]
+
+
+@pytest.mark.skipif(not CARRIES, reason="the wheel carries C for Linux x86-64")
+def test_flies_every_scenario_in_c_that_it_carries_unless_a_source_is_another(call, tmp_path):
+    told = call("-c", LAWS, program="python", path=str(tmp_path))
+    assert told.returncode == 0, told.stderr
+    rows = [line.split() for line in told.stdout.splitlines()]
+    assert len(rows) > 300
+    assert {place for *_, place in rows} == {"carried"}
+    source = Path(
+        call("-c", "import quadftc_control as it; print(it.__file__)", program="python").stdout.strip()
+    )
+    source = source.parent / "controllers" / "ismc.py"
+    source.write_text(text := source.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    changed = call("-c", LAWS, program="python", path=str(tmp_path)).stdout
+    source.write_text(text[:-1], encoding="utf-8")
+    assert {place for *_, law, place in map(str.split, changed.splitlines()) if law == "clock"} == {"carried"}
+    assert "attitude None" in changed
+
+
+@pytest.mark.skipif(not CARRIES, reason="the wheel carries C for Linux x86-64")
+def test_flies_in_c_that_it_carries_and_says_nothing(call, tmp_path):
+    done = [
+        call("run", "paper_faults", "--out", tmp_path / engine, "--engine", engine, path=str(tmp_path))
+        for engine in ("c", "numpy")
+    ]
+    assert [each.stderr for each in done] == ["", ""]
+    rmse = [
+        json.loads(next((tmp_path / engine).glob("*/summary.json")).read_text())["metrics"][
+            "tracking_rmse_deg"
+        ]
+        for engine in ("c", "numpy")
+    ]
+    assert rmse[0] == pytest.approx(rmse[1])
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import dataclasses
 import os
@@ -26,6 +27,7 @@ X86 = ("-march=native", "-mno-fma", "-mno-fma4", "-mno-avx512f")
 NATIVE = X86 if platform.machine() in ("x86_64", "i686") else ("-mcpu=native",)
 # all that makes loops of arrays fast; -O3 takes three times as long for the statements of a large law
 LOOPS = ("-O1", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-fpeel-loops", "-funswitch-loops")
+PORTABLE = ("-march=x86-64", "-mtune=generic")  # behind NATIVE: any x86-64
 LIBRARY = ("-std=c99", *EXACT, *NATIVE, "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
 FORMAT = 2  # of records; another one for another way to call
 
@@ -61,31 +63,35 @@ class Library:
 
 
 def key_of(recipe: Recipe) -> str:
-    """Return the key of a law in the cache: its structure, sources, tracer and compiler."""
+    """Return the key of a law, the same wherever it is compiled: its structure and sources."""
     shapes = {
         name: layout_of(tree) for each in recipe.functions.values() for name, tree in each.arguments.items()
     }
     return fingerprint(
         FORMAT,
-        LIBRARY,
-        LOOPS,
         recipe.name,
         structure_of(recipe.law),
         sorted(recipe.functions),
         shapes,
         sources_of(type(recipe), *recipe.classes()),
-        tracer(),
-        compiler(),
     )
 
 
+def cache_key(key: str) -> str:
+    """Return the key under which this machine keeps what has a key: tracer and compiler join it."""
+    return fingerprint(key, LIBRARY, LOOPS, tracer(), compiler())
+
+
 def find_library(recipe: Recipe) -> Library | None:
-    """Return a law that is compiled already; None if it is not, or has no cache."""
-    try:
-        entry = cache.load_entry(key_of(recipe))
-        return None if entry is None else load_library(*entry)
-    except OSError:
-        return None
+    """Return a law that is compiled already, carried or kept; None if it is not, or has no cache."""
+    key = key_of(recipe)
+    with contextlib.suppress(OSError):  # made for a newer libc
+        if (carried := cache.load_carried(key)) is not None:
+            return load_library(*carried)
+    with contextlib.suppress(OSError):
+        if (kept := cache.load_entry(cache_key(key))) is not None:
+            return load_library(*kept)
+    return None
 
 
 def build_library(recipe: Recipe, keep: bool = True) -> Library:
@@ -94,17 +100,17 @@ def build_library(recipe: Recipe, keep: bool = True) -> Library:
     Without ``keep`` the cache is left alone, and the functions may be of any kind.
     """
     if not keep:
-        library, record = _make(recipe)
+        library, record = make_library(recipe)
         with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
             path = Path(folder) / f"{recipe.name}.so"
             path.write_bytes(library)
             return load_library(path, record)
-    key = key_of(recipe)
+    key = cache_key(key_of(recipe))
     with cache.lock_entry(key):
         found = find_library(recipe)
         if found is not None:
             return found
-        library, record = _make(recipe)
+        library, record = make_library(recipe)
         try:
             path = cache.store_entry(key, library, record)
         except OSError as error:
@@ -113,12 +119,18 @@ def build_library(recipe: Recipe, keep: bool = True) -> Library:
     return load_library(path, record)
 
 
-def _make(recipe: Recipe) -> tuple[bytes, dict[str, Any]]:
-    """Trace a law and compile its C; return library and record."""
+def what_is_missing() -> str | None:
+    """Return what this machine lacks to compile laws, in words; None if nothing."""
     if tracer() is None:
-        raise BuildError("JAX is not installed, which traces laws (pip install jax)")
-    if compiler() is None:
-        raise BuildError("there is no C compiler that works (cc, gcc or clang)")
+        return "JAX is not installed, which traces laws (pip install jax)"
+    return None if compiler() is not None else "there is no C compiler that works (cc, gcc or clang)"
+
+
+def make_library(recipe: Recipe, more: tuple[str, ...] = ()) -> tuple[bytes, dict[str, Any]]:
+    """Trace a law and compile its C, with ``more`` flags; return library and record."""
+    missing = what_is_missing()
+    if missing is not None:
+        raise BuildError(missing)
     from quadftc_compile.program import write_program
 
     begin = time.process_time()
@@ -127,7 +139,7 @@ def _make(recipe: Recipe) -> tuple[bytes, dict[str, Any]]:
     except ValueError as error:
         raise BuildError(str(error)) from None
     traced, before = time.process_time(), os.times()
-    library = compile_c(recipe.name, program.header, program.source)
+    library = compile_c(recipe.name, program.header, program.source, more)
     spent = sum(os.times()[2:4]) - sum(before[2:4])  # s, of the compiler
     facts = {
         "statements": {key: each.statements for key, each in program.functions.items()},

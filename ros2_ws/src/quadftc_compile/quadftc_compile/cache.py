@@ -3,6 +3,8 @@
 A library is loaded into the process, so whoever can write it can run code there. The folder, and what is in
 it, must belong to the user, and nobody else may write to it. Each entry has a record beside it that says what
 it is and what its bytes are; one that does not fit, or was made for another processor, is made anew.
+
+A wheel carries entries, too, for every processor of a kind: they are as safe as the modules beside them.
 """
 
 from __future__ import annotations
@@ -14,11 +16,12 @@ import os
 import platform
 import stat
 import tempfile
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
 RECORD, LIBRARY = ".json", ".so"
+CARRIED = Path(__file__).parent / "carried"  # in a wheel alone
 
 
 class CacheError(OSError):
@@ -54,12 +57,22 @@ def processor() -> str:
 
 def load_entry(key: str) -> tuple[Path, dict[str, Any]] | None:
     """Return library and record of an entry; None if it is not there, damaged, or not to be trusted."""
-    folder = cache_folder()
+    return _load(cache_folder(), key, processor(), _trusted)
+
+
+def load_carried(key: str) -> tuple[Path, dict[str, Any]] | None:
+    """Return library and record of an entry that the wheel carries; None if it is not there, or damaged."""
+    return _load(CARRIED, key, platform.machine(), lambda path: path)
+
+
+def _load(
+    folder: Path, key: str, made_for: str, trusted: Callable[[Path], Path]
+) -> tuple[Path, dict[str, Any]] | None:
     try:
-        record = json.loads(_trusted(folder / f"{key}{RECORD}").read_text(encoding="utf-8"))
-        library = _trusted(folder / f"{key}-{record['sha256'][:16]}{LIBRARY}")
+        record = json.loads(trusted(folder / f"{key}{RECORD}").read_text(encoding="utf-8"))
+        library = trusted(folder / f"{key}-{record['sha256'][:16]}{LIBRARY}")
         content = library.read_bytes()
-        fits = record["key"] == key and record["processor"] == processor()
+        fits = record["key"] == key and record["processor"] == made_for
         if not fits or hashlib.sha256(content).hexdigest() != record["sha256"]:
             return None
         return library, record
@@ -77,10 +90,19 @@ def _trusted(path: Path) -> Path:
 
 def store_entry(key: str, library: bytes, record: dict[str, Any]) -> Path:
     """Keep an entry; OSError if it cannot be written. What is half-written is never seen."""
-    folder, digest = cache_folder(), hashlib.sha256(library).hexdigest()
+    return _store(cache_folder(), key, processor(), library, record)
+
+
+def store_carried(folder: Path, key: str, library: bytes, record: dict[str, Any]) -> None:
+    """Put an entry for a wheel into a folder; OSError if it cannot be written."""
+    _store(folder, key, platform.machine(), library, record)
+
+
+def _store(folder: Path, key: str, made_for: str, library: bytes, record: dict[str, Any]) -> Path:
+    digest = hashlib.sha256(library).hexdigest()
     path = folder / f"{key}-{digest[:16]}{LIBRARY}"
     _replace(path, library)
-    whole = {**record, "key": key, "processor": processor(), "sha256": digest}
+    whole = {**record, "key": key, "processor": made_for, "sha256": digest}
     try:
         _replace(folder / f"{key}{RECORD}", json.dumps(whole).encode())
     except OSError:

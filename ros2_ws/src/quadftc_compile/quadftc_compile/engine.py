@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from quadftc_compile.build import BuildError, Library, build_library, find_library, key_of
+from quadftc_compile.build import BuildError, Library, build_library, find_library, key_of, what_is_missing
 from quadftc_compile.layout import layout_of
 from quadftc_compile.recipe import Recipe, recipe_of
 from quadftc_compile.runner import CRunner
@@ -72,7 +72,7 @@ class CEngine:
 
         One that cannot be compiled is None.
         """
-        recipes = [_recipe(law, law.example()) if _can_be_traced(law) else None for law in laws]
+        recipes = [recipe_for(law, law.example()) if _can_be_traced(law) else None for law in laws]
         self._compile([each for each in recipes if each is not None])
         return [None if each is None else _loaded(each) for each in recipes]
 
@@ -85,13 +85,13 @@ class CEngine:
     def is_ready(self, law: Any, inputs: Any) -> bool:
         """Whether a law can be run in C without compiling it now."""
         try:
-            return _loaded(_recipe(law, inputs)) is not None
+            return _loaded(recipe_for(law, inputs)) is not None
         except ValueError:
             return False
 
     def _library_for(self, law: Any, inputs: Any) -> Library | None:
         """Return a compiled law, compiled now if need be; None if it has to fly in NumPy."""
-        recipe = _recipe(law, inputs)
+        recipe = recipe_for(law, inputs)
         self._compile([recipe])
         return _loaded(recipe)
 
@@ -101,7 +101,8 @@ class CEngine:
         missing = {key: each for key, each in missing.items() if key not in _libraries}
         if not missing:
             return
-        self._announce(missing.values())
+        if what_is_missing() is None:
+            self._announce(missing.values())
         for key, library in zip(missing, _build([*missing.values()], self._tell), strict=True):
             failed = isinstance(library, BuildError)
             if failed:
@@ -174,7 +175,8 @@ def _can_be_traced(law: Any) -> bool:
     return bool(getattr(law, "traceable", True))
 
 
-def _recipe(law: Any, inputs: Any) -> Recipe:
+def recipe_for(law: Any, inputs: Any) -> Recipe:
+    """Return the recipe of a law for inputs like an example; it resumes, if the law has last words."""
     words = law.example_words() if hasattr(law, "example_words") else None
     return recipe_of(law, inputs, words)
 
@@ -190,7 +192,7 @@ def _loaded(recipe: Recipe) -> Library | None:
 
 def _build(recipes: Sequence[Recipe], tell: Log) -> list[Library | BuildError]:
     """Compile laws: here if JAX is loaded already, else in processes of their own."""
-    if "jax" in sys.modules:
+    if "jax" in sys.modules or what_is_missing() is not None:
         return [_build_here(each, tell) for each in recipes]
     count = min(len(recipes), os.cpu_count() or 1)
     workers = queue.SimpleQueue[Worker]()

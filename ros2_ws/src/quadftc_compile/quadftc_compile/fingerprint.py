@@ -37,7 +37,7 @@ def sources_of(*classes: type) -> str:
 
 @functools.cache
 def _digest(modules: frozenset[str]) -> str:
-    own = {"quadftc_compile", *(name.partition(".")[0] for name in modules)}
+    own = {"quadftc_compile", *(name.partition(".")[0] for name in modules)} - sys.stdlib_module_names
     found: dict[str, bytes] = {}
     waiting = list(modules)
     while waiting:

@@ -8,6 +8,7 @@ by sample. So nothing is compiled but the laws, which nodes and closed loop shar
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import dataclasses
 import functools
@@ -19,9 +20,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from quadftc_compile import cache
-from quadftc_compile.build import LIBRARY, Library, compile_c
+from quadftc_compile.build import BuildError, Library, cache_key, compile_c
 from quadftc_compile.engine import CEngine
-from quadftc_compile.fingerprint import compiler, fingerprint
+from quadftc_compile.fingerprint import fingerprint
 from quadftc_compile.layout import Layout, layout_of, leaves_of, unflatten
 from quadftc_compile.memory import Memory, Rows
 from quadftc_compile.runner import numbers_in, write_numbers
@@ -102,25 +103,38 @@ void conduct(const instruction *instructions, int64_t count, call *calls, const 
 """
 
 
+CONDUCTOR = fingerprint("conductor", HEADER, SOURCE)  # its key
+
+
 @functools.cache
 def conductor() -> Any:
     """Return the function that repeats instructions; BuildError if it cannot be compiled."""
-    key = fingerprint("conductor", HEADER, SOURCE, LIBRARY, compiler())
-    try:
-        found = cache.load_entry(key)
-        path = (
-            cache.store_entry(key, compile_c("conductor", HEADER, SOURCE), {}) if found is None else found[0]
-        )
-        held = ctypes.CDLL(str(path))
-    except OSError:
-        with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
-            path = Path(folder) / "conductor.so"
-            path.write_bytes(compile_c("conductor", HEADER, SOURCE))
-            held = ctypes.CDLL(str(path))
-    function = held.conduct
+    function = _conductor().conduct
     pointer, number = ctypes.c_void_p, ctypes.c_int64
     function.argtypes, function.restype = [pointer, number, pointer, pointer, number], None
     return function
+
+
+def compile_conductor(*more: str) -> bytes:
+    """Return the library of the conductor, built with ``more`` flags."""
+    return compile_c("conductor", HEADER, SOURCE, more)
+
+
+def _conductor() -> ctypes.CDLL:
+    with contextlib.suppress(OSError):
+        if (carried := cache.load_carried(CONDUCTOR)) is not None:
+            return ctypes.CDLL(str(carried[0]))
+    key = cache_key(CONDUCTOR)
+    try:
+        found = cache.load_entry(key)
+        return ctypes.CDLL(
+            str(cache.store_entry(key, compile_conductor(), {}) if found is None else found[0])
+        )
+    except OSError:
+        with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+            path = Path(folder) / "conductor.so"
+            path.write_bytes(compile_conductor())
+            return ctypes.CDLL(str(path))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,9 +185,16 @@ class Flown(Protocol):
 def flown_by(engine: Engine, composition: Composition, inputs: Any) -> Flown:
     """Return what flies a composition, for inputs like an example: in C, if all its laws can be compiled."""
     libraries = engine.libraries(composition.laws) if isinstance(engine, CEngine) else None
-    if libraries is None:
+    if libraries is None or not _can_conduct():
         return OneByOne(composition, engine, inputs)
     return Wiring(composition, libraries, inputs)
+
+
+def _can_conduct() -> bool:
+    try:
+        return conductor() is not None
+    except BuildError:  # laws that a wheel carries, and neither conductor nor compiler
+        return False
 
 
 class OneByOne:

@@ -1,0 +1,72 @@
+"""What the wheel carries besides sources: on Linux x86-64 the laws of all scenarios, compiled.
+
+Called by hatchling, and by itself as a script in a process of its own: ``hatch_build.py FOLDER``.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+ROOT = Path(__file__).parent
+NEEDED = ("jax", "jaxtyping", "numpy", "pydantic", "pyyaml", "ruamel-yaml")  # to load and trace the scenarios
+HAS_COMPILER = any(map(shutil.which, ("cc", "gcc", "clang")))
+CARRIES = HAS_COMPILER and (sys.platform, platform.machine()) == ("linux", "x86_64")
+NO_C = 3  # the exit code where the compiler does not work
+
+
+class CarryHook(BuildHookInterface):
+    """Compiles laws into the wheel, which is then for this platform; without a compiler it is for any."""
+
+    def dependencies(self) -> list[str]:
+        """Return what the build needs besides hatchling."""
+        given = self.metadata.core.dependencies_complex
+        return [text for text, each in given.items() if each.name in NEEDED] if CARRIES else []
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile the laws."""
+        if not CARRIES or version == "editable":
+            return
+        self._place = tempfile.TemporaryDirectory(prefix="quadftc_")  # until the wheel is written
+        folder = self._place.name
+        here = os.environ.get("PYTHONPATH", "").split(os.pathsep)  # pip has put the libraries there
+        paths = [*map(str, ROOT.glob("ros2_ws/src/quadftc_*")), *filter(None, here)]
+        env = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1"}
+        told = subprocess.run(
+            [sys.executable, __file__, folder], env=env, stderr=subprocess.PIPE, text=True, check=False
+        )
+        if told.returncode not in (0, NO_C):
+            raise RuntimeError(f"laws cannot be compiled:\n{told.stderr}")
+        if told.returncode == NO_C:
+            self.app.display_warning(f"the wheel carries no compiled laws: {told.stderr}")
+            return
+        build_data["force_include"][folder] = "quadftc_compile/carried"
+        build_data["pure_python"], build_data["tag"] = False, "py3-none-linux_x86_64"
+
+
+def main(folder: Path) -> None:
+    """Compile the laws of the scenarios, with each of their schemes, into a folder."""
+    from quadftc_compile.build import BuildError
+    from quadftc_compile.carry import carry
+    from quadftc_flight.closed_loop import loop_of
+    from quadftc_flight.scenario import load_scenario
+
+    scenarios = [load_scenario(path) for path in sorted(ROOT.glob("scenarios/*.yaml"))]
+    loops = [loop_of(each, each.scheme(name)) for each in scenarios for name in each.schemes]
+    try:
+        carry((law for loop in loops for law in loop.laws.values()), folder)
+    except BuildError as error:  # a compiler without headers, say
+        sys.stderr.write(f"{error}\n")
+        sys.exit(NO_C)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
