@@ -32,7 +32,7 @@ from quadftc_cli.live_page.player import Player, read_recorded
 from quadftc_cli.screen import say
 from quadftc_model.vehicle import load_vehicle
 from quadftc_report.serve.access import OwnerOnly
-from quadftc_report.serve.connections import ImpatientProtocol, allow_connections
+from quadftc_report.serve.connections import server_of
 from quadftc_report.serve.local import address_of, browser_at, listen, private_files
 
 OUTPUTS = Path("results")
@@ -145,16 +145,7 @@ def show_recorded(bag: Path, speed: float, namespace: str, port: int, opens: boo
 
 def serve(app: FastAPI, listener: socket.socket, server: list[uvicorn.Server]) -> None:
     """Serve an application; ``server`` gets what serves it."""
-    allow_connections()
-    config = uvicorn.Config(
-        app,
-        http=ImpatientProtocol,
-        log_level="warning",
-        access_log=False,
-        server_header=False,
-        timeout_graceful_shutdown=1,
-    )
-    server.append(uvicorn.Server(config))
+    server.append(server_of(app, timeout_graceful_shutdown=1))
     server[0].run(sockets=[listener])
 
 

@@ -77,9 +77,7 @@ def make_app(jobs: Jobs, token: str, browser: AbstractContextManager[None] | Non
 
 def serve(folder: Path, port: int, at_a_time: int, largest: int, *, opens: bool = True) -> None:
     """Serve on 127.0.0.1 until interrupted; a ValueError says what is wrong with port or folder."""
-    import uvicorn
-
-    from quadftc_report.serve.connections import ImpatientProtocol, allow_connections
+    from quadftc_report.serve.connections import server_of
 
     token = secrets.token_urlsafe()
     with private_files(), listen(port) as listener:
@@ -87,9 +85,5 @@ def serve(folder: Path, port: int, at_a_time: int, largest: int, *, opens: bool 
         browser = browser_at(address, folder) if opens else None
         app = make_app(Jobs(folder, at_a_time, largest), token, browser)
         print(f"serving {folder} on {address}; end with Ctrl-C", flush=True)  # noqa: T201
-        allow_connections()
-        config = uvicorn.Config(
-            app, http=ImpatientProtocol, log_level="warning", access_log=False, server_header=False
-        )
         with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[listener])
+            server_of(app).run(sockets=[listener])

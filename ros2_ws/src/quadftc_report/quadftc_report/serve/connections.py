@@ -10,6 +10,8 @@ import asyncio
 import resource
 from typing import Any
 
+import uvicorn
+from starlette.types import ASGIApp
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 SILENCE = 10.0  # s, in which a request has to come, and the next one behind an answer
@@ -37,6 +39,13 @@ class ImpatientProtocol(AutoHTTPProtocol):  # type: ignore[valid-type, misc]
             transport.abort()
         else:
             self._look_again(transport)
+
+
+def server_of(app: ASGIApp, **options: Any) -> uvicorn.Server:
+    """Return what serves a page of this machine; ``options`` are uvicorn's."""
+    allow_connections()
+    quiet: dict[str, Any] = {"log_level": "warning", "access_log": False, "server_header": False}
+    return uvicorn.Server(uvicorn.Config(app, http=ImpatientProtocol, **quiet, **options))
 
 
 def allow_connections() -> None:
