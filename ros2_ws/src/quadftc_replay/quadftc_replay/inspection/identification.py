@@ -52,18 +52,6 @@ class Identified(NamedTuple):
         return self.r2 > USABLE
 
 
-class _Sums(NamedTuple):
-    """Sums over each block, all that a fit needs."""
-
-    squares: Floats  # (b, k, k) of the inputs behind the lag
-    across: Floats  # (b, k, 3) of inputs and responses
-    power: Floats  # (b, 3) of the responses
-
-    def part(self, blocks: Mask) -> _Sums:
-        """Return some blocks."""
-        return _Sums(*(values[blocks] for values in self))
-
-
 def drive_of(log: FlightLog) -> tuple[str, Signal] | None:
     """Return what drives the vehicle (n, k) and what it is called; None: not logged, or too slow.
 
@@ -113,17 +101,18 @@ def identify(flight: Flight) -> Identified | None:
     flown = flying[::stride][: count * length].reshape(count, length).mean(axis=1) > 0.75
     if flown.sum() < LEAST:
         return None
+
+    def in_blocks(values: Floats) -> Floats:
+        return values[: count * length].reshape(count, length, -1)[flown]
+
     # the lag by which most is explained
-    best: tuple[float, float, Floats, _Sums] | None = None
+    y, tried = in_blocks(measured), list[tuple[float, float, Floats, Floats]]()
     for lag in LAGS.tolist():
-        sums = _sum_up(_lagged(driven, lag, dt), measured, length).part(flown)
-        r2 = _held_out(sums)
-        score = float(np.sum(np.clip(r2[:2], -1.0, 1.0)))
-        if best is None or score > best[0]:
-            best = score, lag, r2, sums
-    assert best is not None
-    _, lag, r2, sums = best
-    return Identified(source, lag, _fit(sums), r2)
+        x = in_blocks(_lagged(driven, lag, dt))
+        r2 = _held_out(x, y)
+        tried.append((float(np.sum(np.clip(r2[:2], -1.0, 1.0))), lag, r2, x))
+    _, lag, r2, x = max(tried, key=lambda each: each[0])
+    return Identified(source, lag, _fit(x, y), r2)
 
 
 def bin_means(edges: Floats, sensor: Signal, hold: bool) -> Floats:
@@ -156,39 +145,31 @@ def _lagged(inputs: Floats, lag: float, dt: float) -> Floats:
     return signal.lfilter([1.0 - share], [1.0, -share], inputs, axis=0, zi=share * inputs[:1])[0]
 
 
-def _sum_up(driven: Floats, measured: Floats, length: int) -> _Sums:
-    count = len(driven) // length
-    x, y = (each[: count * length].reshape(count, length, -1) for each in (driven, measured))
-    return _Sums(np.swapaxes(x, 1, 2) @ x, np.swapaxes(x, 1, 2) @ y, np.sum(y**2, axis=1))
-
-
-def _held_out(sums: _Sums) -> Floats:
+def _held_out(x: Floats, y: Floats) -> Floats:
     """R² of each column, on blocks that were not fitted: of all, or of the usual one if that is more."""
-    parity = np.arange(len(sums.power)) % 2 == 0
-    left = np.concatenate([_residuals(sums.part(~each), _fit(sums.part(each))) for each in (parity, ~parity)])
-    power = np.concatenate([sums.power[~parity], sums.power[parity]])
+    parity = np.arange(len(y)) % 2 == 0
+    left = np.concatenate([_left(x[~each], y[~each], _fit(x[each], y[each])) for each in (parity, ~parity)])
+    power = np.concatenate([np.mean(y[~each] ** 2, axis=1) for each in (parity, ~parity)])
     pooled = 1.0 - left.sum(axis=0) / np.maximum(power.sum(axis=0), 1e-12)
-    usual = 1.0 - np.median(left / np.maximum(power, 1e-12), axis=0)
-    return np.maximum(pooled, usual)
+    return np.maximum(pooled, 1.0 - np.median(left / np.maximum(power, 1e-12), axis=0))
 
 
-def _residuals(sums: _Sums, gain: Floats) -> Floats:
-    """Sum of squares that gains (k, 3) leave in each block (b, 3)."""
-    cross = np.einsum("bkc,kc->bc", sums.across, gain)
-    own = np.einsum("kc,bkl,lc->bc", gain, sums.squares, gain)
-    return np.maximum(sums.power - 2.0 * cross + own, 0.0)
+def _left(x: Floats, y: Floats, gain: Floats) -> Floats:
+    """Mean square that gains (k, 3) leave in each block (b, 3)."""
+    return np.mean((y - x @ gain) ** 2, axis=1)
 
 
-def _fit(sums: _Sums) -> Floats:
-    """Fit gains (k, 3) with block weights."""
-    _, size, columns = sums.across.shape
+def _fit(x: Floats, y: Floats) -> Floats:
+    """Fit gains (k, 3) to inputs (b, n, k) and responses (b, n, 3), with a weight for each block."""
+    size = x.shape[2]
     ridge = RIDGE * np.eye(size) + (TOGETHER / size if size > 3 else 0.0) * np.ones((size, size))
-    gain, left = np.zeros((size, columns)), sums.power
+    squares, across = np.swapaxes(x, 1, 2) @ x, np.swapaxes(x, 1, 2) @ y
+    gain = np.zeros((size, 3))
     for _ in range(ROUNDS):
+        left = _left(x, y, gain)
         weight = 1.0 / np.maximum(left, np.median(left, axis=0) + 1e-12)
-        for column in range(columns):
-            total = np.einsum("b,bij->ij", weight[:, column], sums.squares)
+        for column in range(3):
+            total = np.tensordot(weight[:, column], squares, 1)
             total += float(np.trace(total)) / size * ridge + 1e-12 * np.eye(size)
-            gain[:, column] = np.linalg.solve(total, weight[:, column] @ sums.across[:, :, column])
-        left = _residuals(sums, gain)
+            gain[:, column] = np.linalg.solve(total, weight[:, column] @ across[:, :, column])
     return gain

@@ -125,23 +125,6 @@ def _known_velocity(log: FlightLog, force: Signal | None) -> Signal | None:
     return log.gps_velocity or log.velocity or still
 
 
-def begin_of(log: FlightLog, force: Signal, cause: Cause, path: Path) -> tuple[float, float]:
-    """Date a cause, an accelerometer's by a shorter window, with a standard deviation [s]."""
-    window, short = np.sqrt(path.window * WINDOW), None
-    if path.window > WINDOW and cause.component == "accelerometer":
-        short = path_of(log.attitude, force, _known_velocity(log, force), window)
-    if short is None:
-        return cause.onset, ONSET * path.window
-    rows = slice(*np.searchsorted(short.time, (cause.onset - path.window, cause.onset + path.window)))
-    time, along = short.time[rows], np.nan_to_num(short.rest[rows, "xyz".index(cause.element)])
-    onsets = np.arange(cause.onset - 0.5 * path.window, cause.onset + 0.5 * path.window, 0.5 * STEP)
-    left = [
-        float(np.sum((along - cause.size * np.clip((time - onset) / window + 0.5, 0.0, 1.0)) ** 2))
-        for onset in onsets.tolist()
-    ]
-    return float(onsets[int(np.argmin(left))]), ONSET * window
-
-
 def attitude_at(attitude: Signal, time: Floats) -> Floats:
     """Attitudes (m, 4) at other times, straight between samples."""
     q = attitude.value.copy()

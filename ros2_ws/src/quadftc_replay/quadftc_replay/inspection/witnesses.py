@@ -22,11 +22,11 @@ from quadftc_replay.inspection.found import (
 from quadftc_replay.inspection.pairs import CLEAR, LONG, Parting, differ, jumps_more, partings
 from quadftc_replay.inspection.path import (
     LEVEL,
+    ONSET,
     SMALLEST,
     WINDOW,
     Cause,
     Path,
-    begin_of,
     causes_of,
     known_path,
     path_of,
@@ -212,7 +212,7 @@ def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
     axis = BODY_AXES.index(cause.element)
     onset = cause.onset
     if sensor is not None:
-        onset, near = begin_of(flight.log, sensor, cause, path)
+        near = ONSET * path.window
         span = (onset - 5.0 * near, onset + 5.0 * near)
         onset = begins_within(flight, sensor, LIMITS[cause.component], axis, cause.size, span, near)
     what = "the attitude tilts away from" if is_gyro else "the specific force parts from"
