@@ -65,8 +65,6 @@ class BlackboxLog(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """A kind of frame."""
-
     fields: tuple[str, ...]
     groups: tuple[Group, ...]
     predictors: tuple[int, ...]
@@ -160,8 +158,6 @@ class _Chain(NamedTuple):
 
 
 class _Decoder:
-    """Decodes a log block by block."""
-
     def __init__(self, data: Data, header: Mapping[str, str], where: str, wanted: Collection[str]) -> None:
         self.data, self.where = data, where
         if header.get("Data version") != VERSION:

@@ -75,14 +75,15 @@ def parameters_of(table: Mapping[str, NDArray[Any]]) -> dict[str, float]:
     """Parameters by name; of those that come again the last counts."""
     if not {*PARAMETER_FIELDS} <= table.keys():
         return {}
-    return {_text(name): float(value) for name, value in zip(table["Name"], table["Value"], strict=True)}
+    return {text_of(name): float(value) for name, value in zip(table["Name"], table["Value"], strict=True)}
 
 
-def _text(raw: bytes) -> str:
-    return bytes(raw).split(b"\0")[0].decode("ascii", "replace")
+def text_of(raw: bytes) -> str:
+    """Return a text that ends with a zero byte."""
+    return bytes(raw).split(b"\0")[0].decode("utf-8", "replace")
 
 
-def _numpy_type(code: str) -> str:
+def numpy_type(code: str) -> str:
     """Type of NumPy for one of `struct`, little-endian."""
     return f"S{code[:-1]}" if code.endswith("s") else f"<{code}"
 
@@ -136,13 +137,13 @@ class _Scan:
     def _learn(self, at: int) -> None:
         """Learn a format, if it makes sense; of those that come again the first counts."""
         kind, length, *raw = FORMAT.unpack_from(self.data, at + BEGIN)
-        name, types, text = map(_text, raw)
+        name, types, text = map(text_of, raw)
         fields = text.split(",") if text else []
         if kind in self.formats or kind == FORMAT_TYPE:
             return
         is_known = {*types} <= FORMAT_TO_STRUCT.keys() and len(fields) == len(types) == len({*fields})
         codes = [FORMAT_TO_STRUCT[each] for each in types] if is_known and name else []
-        row = np.dtype([(field, _numpy_type(code[0])) for field, code in zip(fields, codes, strict=False)])
+        row = np.dtype([(field, numpy_type(code[0])) for field, code in zip(fields, codes, strict=False)])
         is_again = name in {each.name for each in self.formats.values()}
         if not codes or row.itemsize + BEGIN != length or is_again:
             self.wrong_formats += name in self.names

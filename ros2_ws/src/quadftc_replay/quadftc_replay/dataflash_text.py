@@ -34,8 +34,6 @@ MOST_FIELDS = 64
 
 
 class _Table:
-    """Rows of one message, of one instance."""
-
     def __init__(self, fields: Sequence[str]) -> None:
         self.numbers = {field: array("d") for field in fields if field not in TEXTS}
         self.texts = {field: list[bytes]() for field in fields if field in TEXTS}
@@ -81,8 +79,6 @@ def read_dataflash_text(
 
 
 class _LineReader:
-    """Takes the lines of a log."""
-
     def __init__(self, wanted: Mapping[bytes, tuple[str, ...]], instances: Collection[str]) -> None:
         self.wanted, self.instances = wanted, instances
         self._formats: dict[bytes, list[str]] = {}

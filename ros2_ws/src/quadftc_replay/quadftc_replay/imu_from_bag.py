@@ -90,7 +90,6 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
 
 
 def _choose_imu(topics: _Topics, wanted: str, path: Path) -> str:
-    """Return the full name of the topic to replay."""
     if wanted:
         names = [_full_name(topics, wanted, path)]
         type_name = topics[names[0]].type_name

@@ -72,7 +72,6 @@ def recording_of(log: FlightLog, topic: str = "") -> Recording:
 
 
 def _gyro(log: FlightLog, topic: str) -> tuple[str, Signal]:
-    """Return a gyro, and what it is called."""
     gyros: Mapping[str, Signal] = log.gyros
     if topic not in gyros:
         named = [f"'{name}'" for name in gyros if name != MAIN]

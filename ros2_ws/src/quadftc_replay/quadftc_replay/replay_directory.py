@@ -168,7 +168,6 @@ def replay_metrics(
 
 
 def _read_origin(bag: Bag) -> tuple[ReplayOrigin, tuple[Fault, ...]]:
-    """Read what was replayed, and build the overlaid faults."""
     where, text = f"{bag.path}: {DESCRIPTION}", run_directory.attached_text(bag, DESCRIPTION) or ""
     try:
         origin = ReplayOrigin.model_validate(yaml.safe_load(text))
@@ -184,7 +183,6 @@ def _read_origin(bag: Bag) -> tuple[ReplayOrigin, tuple[Fault, ...]]:
 
 
 def _shortcomings(replay: RecordedReplay) -> Iterator[str]:
-    """What the bag lacks."""
     whole = f"{replay.origin.duration:.1f} s"
     if not replay.is_whole:
         end = f"{replay.duration:.1f} s of {whole}"

@@ -105,8 +105,6 @@ def _damage(path: Path, is_whole: bool, rows: _Rows, left: int) -> Iterator[str]
 
 
 class _Header:
-    """Reads the header, byte by byte."""
-
     def __init__(self, data: Data, path: Path) -> None:
         self.data, self.path, self.at = data, path, 0
         magic = self._number("B", "magic")
@@ -218,7 +216,6 @@ class _Rows:
 def _columns(
     data: Data, places: Places, event: _Event, unit_ns: int, wanted: Container[str] | None
 ) -> EventRows:
-    """Gather the rows of an event, block by block."""
     names = {name: f"f{k}" for k, name in enumerate(event.variables, 2) if wanted is None or name in wanted}
     rows = np.frombuffer(places.at, np.uint64).astype(np.int64)
     stamp_ns = np.empty(len(rows), np.int64)

@@ -111,7 +111,6 @@ def _rank(found: Found) -> tuple[bool, float]:
 
 
 def _follows(finding: Finding, cause: Finding) -> bool:
-    """Whether a finding may follow from a cause."""
     if finding.kind in FACTS or cause.probability < SUFFICES:
         return False
     if finding.component == cause.component and abs(finding.onset_s - cause.onset_s) < AT_ONCE:

@@ -137,7 +137,6 @@ def _findings(
     jumps: Mapping[str, list[Step]],
     name: str,
 ) -> Iterator[Found]:
-    """Name what is wrong with one magnetometer."""
     field, unit = fields[name], flight.log.field_unit
     component = component_name(COMPONENT, name)
     yield from noise_findings(flight, component, field.rest, BODY_AXES, unit, QUIET * field.size, alone=False)
@@ -189,7 +188,6 @@ def _findings(
 
 
 def _alike(step: Step, other: Step) -> bool:
-    """Whether two magnetometers jump alike."""
     near = abs(step.onset - other.onset) < JUMP and step.axis == other.axis
     return near and abs(step.size - other.size) < SAME * abs(step.size)
 

@@ -110,7 +110,6 @@ def _turns(attitude: Signal, time: Floats) -> Floats:
 
 
 def _lasting(time: Floats, mask: np.ndarray) -> list[slice]:
-    """Runs of a mask (n,) that last."""
     return [run for run in runs_of(mask) if time[run.stop - 1] - time[run.start] >= LASTS]
 
 

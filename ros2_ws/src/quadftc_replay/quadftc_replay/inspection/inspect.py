@@ -102,7 +102,6 @@ def _gyros(flight: Flight) -> dict[str, Signal]:
 
 
 def _readings(flight: Flight, gyros: dict[str, Signal]) -> list[Found]:
-    """Tests of each sensor by its readings alone."""
     found: list[Found] = []
     sensors = [("gyro", name, each) for name, each in gyros.items()]
     sensors += [("accelerometer", name, each) for name, each in flight.log.accelerometers.items()]
@@ -184,7 +183,6 @@ def _sensors(
 
 
 def _accelerometers(flight: Flight, has_path: bool, inspection: _Inspection) -> None:
-    """Tests of every accelerometer."""
     sensors = flight.log.accelerometers
     for name, sensor in sensors.items():
         component = component_name("accelerometer", name)
@@ -204,7 +202,6 @@ def _accelerometers(flight: Flight, has_path: bool, inspection: _Inspection) -> 
 
 
 def _rotors(flight: Flight, baseline: FlightLog | None, inspection: _Inspection) -> Rotors:
-    """Tests of the rotors."""
     rotors = judge_rotors(flight, baseline)
     inspection.found += rotors.found
     inspection.judged += ["rotor"] if rotors.judged else []

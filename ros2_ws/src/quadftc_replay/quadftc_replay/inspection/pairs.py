@@ -76,7 +76,6 @@ def partings(
 def _along(
     kind: str, names: tuple[str, str], axis: int, difference: Signal, level: Floats, watched: Mask
 ) -> Iterator[Parting]:
-    """Find the partings on one axis."""
     time, values = difference.time, difference.value[:, axis]
     count = max(FEWEST, round(WINDOW * difference.rate))
     rows = np.flatnonzero(watched & np.isfinite(values))

@@ -140,7 +140,6 @@ def _integral(time: Floats, values: Floats) -> Floats:
 
 
 def _change(time: Floats, signal: Signal, window: float) -> Floats:
-    """Change of a signal over the window around each time (n, 3)."""
     return signal.at(time + 0.5 * window) - signal.at(time - 0.5 * window)
 
 

@@ -79,7 +79,6 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
 
 
 def _why_no_loss(flight: Flight, has_rotors: bool, model: Identified | None, shows: float | None) -> str:
-    """Say why a sudden loss of a rotor could not be seen."""
     if shows is not None:
         return f"in this flight a loss of {100 * min(shows, 1.0):.0f} % of a rotor's thrust would not show"
     if not has_rotors:
@@ -95,7 +94,6 @@ def _why_no_loss(flight: Flight, has_rotors: bool, model: Identified | None, sho
 
 
 def _step_found(step: RotorStep) -> Found:
-    """The finding of a rotor that lost thrust."""
     others = () if step.second is None else (f"rotor/{step.second + 1}",)
     said = (
         f"from {step.onset:.2f} s on the vehicle turns as if {100 * step.share:.0f} % of its thrust"
@@ -197,7 +195,6 @@ def _flies_on(flight: Flight, onset: float) -> bool:
 
 
 def _speed_absent(sensor: Signal, rotor: int, onset: float, end: float) -> Found:
-    """The finding of a speed sensor that drops out."""
     said = "it reads next to nothing, and the vehicle flies on as before: no rotor has stopped"
     finding = make_finding("speed sensor", str(rotor + 1), "absent", onset, end_s=end, evidence=(said,))
     return make_found(finding, _speed_curve(sensor))

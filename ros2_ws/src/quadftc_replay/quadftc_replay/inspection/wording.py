@@ -142,7 +142,6 @@ def summarise(
 def _why_not(
     flight: Flight, judged: Sequence[str], missing: Sequence[NotJudged], ended: str, doubtful: str
 ) -> str:
-    """Say what could not be judged."""
     log, reported = flight.log, reported_failure(flight)
     said = f'the autopilot reports "{reported.text}" at {reported.time:.1f} s' if reported else ""
     cut = f"the log is not whole ({log.incomplete})" if log.incomplete else ""

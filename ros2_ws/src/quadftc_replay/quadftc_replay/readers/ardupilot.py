@@ -40,7 +40,7 @@ import numpy as np
 
 from quadftc_model.frames import enu_from_ned, flu_from_frd
 from quadftc_model.rotations import quaternion_from_euler
-from quadftc_replay.dataflash import DataflashLog, read_dataflash
+from quadftc_replay.dataflash import DataflashLog, read_dataflash, text_of
 from quadftc_replay.dataflash_text import read_dataflash_text
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.readers.ardupilot_navigation import add_navigation
@@ -138,12 +138,7 @@ def _flight_log(path: Path, name: str, log: DataflashLog) -> FlightLog:
     add_navigation(signals, log.messages)
     _add_events(signals, log.messages)
     layout = add_rotors(signals, log.messages, sound(log.parameters))
-    return signals.flight_log(
-        attitude_from_gyro=True if signals.has("attitude") else None,
-        torque_unit="1",
-        rotor_positions=layout and layout.positions,
-        rotor_yaw_signs=layout and layout.yaw_signs,
-    )
+    return signals.flight_log(layout, is_own=True, torque_unit="1")
 
 
 def _ends_armed(messages: Mapping[str, Table]) -> bool:
@@ -172,7 +167,6 @@ def _add_sensors(
 
 
 def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
-    """Add attitude, position, velocity, rates and torques, and battery."""
     attitudes = (first_of(messages.get(name), "Roll", "Pitch", "Yaw") for name in ("ATT", "ANG"))
     if table := max(filter(None, attitudes), key=lambda each: len(each["TimeUS"]), default=None):
         roll, pitch, yaw = DEGREE * columns(table, ("Roll", "Pitch", "Yaw")).T
@@ -223,7 +217,6 @@ def _of_primary(messages: Mapping[str, Table], name: str, *fields: str) -> Table
 
 
 def _watch(signals: Signals, messages: Mapping[str, Table]) -> None:
-    """Add what has a limit: innovations of the estimator, board voltage, processor, the log itself."""
     ratios = (instances_of(messages.get(name), *_RATIOS) for name in ("XKF4", "NKF4"))
     if cores := next(filter(None, ratios), None):
         table = cores[min(cores)]
@@ -246,7 +239,6 @@ def _watch(signals: Signals, messages: Mapping[str, Table]) -> None:
 
 
 def _add_flown(signals: Signals, messages: Mapping[str, Table]) -> None:
-    """Add what the position controller takes for position and acceleration."""
     north, east, down = (first_of(messages.get(f"PSC{axis}"), f"P{axis}", f"A{axis}") for axis in "NED")
     old, old_up = first_of(messages.get("PSC"), "PX", "PY", "AX", "AY"), first_of(messages.get("PSCZ"), "PZ")
     if north and east:
@@ -266,10 +258,9 @@ def _add_flown(signals: Signals, messages: Mapping[str, Table]) -> None:
 
 
 def _add_events(signals: Signals, messages: Mapping[str, Table]) -> None:
-    """Add what the autopilot said: its messages as they are, errors and events in words."""
     said: list[tuple[int, str, str]] = []
     if (table := messages.get("MSG")) and {"TimeUS", "Message"} <= table.keys():
-        texts = (bytes(each).split(b"\0")[0].decode("ascii", "replace") for each in table["Message"])  # type: ignore
+        texts = map(text_of, table["Message"])  # type: ignore
         said += [(int(stamp), "MSG", text) for stamp, text in zip(stamps_of(table), texts, strict=True)]
     if (table := messages.get("ERR")) and {"TimeUS", "Subsys", "ECode"} <= table.keys():
         for stamp, part, code in zip(stamps_of(table), table["Subsys"], table["ECode"], strict=True):

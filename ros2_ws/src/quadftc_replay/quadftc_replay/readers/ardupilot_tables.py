@@ -116,7 +116,6 @@ def _add_commands(
     parameters: Mapping[str, float],
     motors: Mapping[int, int],
 ) -> None:
-    """Add commands of the rotors, as shares of the greatest thrust."""
     outputs = [f"C{output + 1}" for output in sorted(motors, key=lambda each: motors[each])]
     table = first_of(messages.get("RCOU"), *outputs)
     if not table or not motors:

@@ -73,13 +73,7 @@ def read(path: Path, log: int = 0) -> FlightLog:
         if name in content.columns and np.any(content.columns[name]):
             signals.add("battery", stamp_ns, unit * content.columns[name], name)
             break
-    return signals.flight_log(
-        field_unit="",
-        attitude_from_gyro=True if signals.has("attitude") else None,
-        torque_unit="1",
-        rotor_positions=layout and layout.positions,
-        rotor_yaw_signs=layout and layout.yaw_signs,
-    )
+    return signals.flight_log(layout, is_own=True, field_unit="", torque_unit="1")
 
 
 def _firmware(header: Mapping[str, str]) -> tuple[str, int]:
@@ -92,7 +86,6 @@ def _firmware(header: Mapping[str, str]) -> tuple[str, int]:
 
 
 def _number(header: Mapping[str, str], name: str) -> float:
-    """Return a number of the header; 0 if it is none."""
     try:
         value = float(header.get(name, ""))
     except ValueError:
@@ -118,12 +111,10 @@ def _vectors(content: BlackboxLog, name: str, count: int = 3) -> Floats | None:
 
 
 def _count(content: BlackboxLog, name: str) -> int:
-    """How many elements a field has."""
     return next(k for k in range(MOST_ROTORS + 1) if f"{name}[{k}]" not in content.columns)
 
 
 def _add_states(signals: Signals, content: BlackboxLog, stamp_ns: NDArray[np.int64]) -> None:
-    """Add attitude, position and velocity."""
     if (value := _vectors(content, "imuQuaternion")) is not None and np.any(value):
         part = value / QUATERNION_UNIT
         w = np.sqrt(np.clip(1.0 - np.sum(part**2, axis=1), 0.0, 1.0))
@@ -142,7 +133,6 @@ def _add_states(signals: Signals, content: BlackboxLog, stamp_ns: NDArray[np.int
 def _add_rotors(
     signals: Signals, content: BlackboxLog, stamp_ns: NDArray[np.int64], firmware: str
 ) -> Layout | None:
-    """Add commands and speeds of the rotors; return where they are."""
     header, count = content.header, _count(content, "motor")
     if firmware == "Rotorflight":
         signals.notes.append("of a helicopter: its motors are not judged")
@@ -168,7 +158,6 @@ def _add_rotors(
 
 
 def _output_range(header: Mapping[str, str]) -> tuple[float, float]:
-    """Outputs at no and at full throttle."""
     pairs = [
         header.get("motorOutput", "").split(","),
         [header.get(f"{end}throttle", "") for end in ("min", "max")],
@@ -190,7 +179,6 @@ def _torques(content: BlackboxLog) -> Floats | None:
 
 
 def _add_setpoints(signals: Signals, content: BlackboxLog, stamp_ns: NDArray[np.int64]) -> None:
-    """Add torque and thrust that the controller asked for, as shares."""
     columns = content.columns
     if (torques := _torques(content)) is not None:
         signals.add("torque_command", stamp_ns, torques, ", ".join(TERMS))

@@ -53,7 +53,6 @@ def call_bounded(reader: Reader, read: Callable[..., Read], path: Path, *argumen
 
 
 def _run(reader: Reader, path: Path, call: bytes, result: str) -> None:
-    """Run the process; BagError if it could not read the log."""
     size = _size(path)
     seconds = processor_time(reader, size)
     command = [sys.executable, "-m", __name__, *map(str, (os.getpid(), seconds, size)), result]
@@ -87,7 +86,6 @@ def _last_line(said: bytes) -> str:
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file, or of all files of a directory."""
     files = [each for each in path.iterdir() if each.is_file()] if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files)
 

@@ -38,6 +38,7 @@ from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.flight_log import FlightLog, Floats
+from quadftc_replay.readers.layouts import Layout
 from quadftc_replay.readers.signals import Signals, Stamps, columns
 from quadftc_replay.usdlog import EventRows, read_usdlog
 
@@ -130,12 +131,7 @@ def read(path: Path) -> FlightLog:
         signals.notes.append(f"rotor commands: by the firmware's distribution of {command.names}")
     rotors = load_vehicle(VEHICLE).rotors
     signals.notes.append(f"the log does not say which Crazyflie it is; taken as {VEHICLE}")
-    return signals.flight_log(
-        vehicle=VEHICLE,
-        attitude_from_gyro=True if signals.has("attitude") else None,
-        rotor_positions=rotors.positions,
-        rotor_yaw_signs=rotors.yaw_sign,
-    )
+    return signals.flight_log(Layout(rotors.positions, rotors.yaw_sign), is_own=True, vehicle=VEHICLE)
 
 
 class _Table:
@@ -173,7 +169,6 @@ def _add(signals: Signals, field: str, taken: Taken | None, name: str = "") -> b
 
 
 def _add_attitude(signals: Signals, table: _Table) -> None:
-    """Add the attitude, or the angles that there are."""
     if _add(signals, "attitude", table.take(QUATERNIONS)):
         return
     if (angles := table.take(ANGLES)) is not None:

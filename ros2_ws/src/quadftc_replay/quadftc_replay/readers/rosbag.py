@@ -44,6 +44,7 @@ from quadftc_replay.readers.bag_columns import (
     read_columns,
 )
 from quadftc_replay.readers.bag_rotors import add_rotors, find_rotor_choice
+from quadftc_replay.readers.layouts import Layout
 from quadftc_replay.readers.signals import Signals
 
 FORMAT, FORMAT_1 = "ROS 2 bag", "ROS 1 bag"
@@ -119,10 +120,9 @@ def read(path: Path) -> FlightLog:
     if name := topics.best(VECTOR, TORQUE):
         signals.add("torque_command", topics[name]["stamp_ns"], topics[name]["vector"], name)
     return signals.flight_log(
+        Layout(vehicle.rotors.positions, vehicle.rotors.yaw_sign) if vehicle else None,
         vehicle=vehicle.name if vehicle else None,
         attitude_from_gyro=False if is_outside else None,
-        rotor_positions=vehicle.rotors.positions if vehicle else None,
-        rotor_yaw_signs=vehicle.rotors.yaw_sign if vehicle else None,
     )
 
 
@@ -180,7 +180,6 @@ def _is_beside(name: str, names: list[str]) -> bool:
 
 
 def _add_imus(signals: Signals, topics: _Topics) -> None:
-    """Add every IMU, the main one first, and its orientation."""
     names = topics.of(IMU)
     names.sort(key=lambda name: not _ends(name, MAIN_IMU))
     for number, name in enumerate(names):
@@ -250,7 +249,6 @@ def _add_motion(signals: Signals, topics: _Topics) -> str:
 
 
 def _add_twist(signals: Signals, data: Columns, name: str) -> None:
-    """Add the velocity along the axes of the earth, and without a gyro the body rate."""
     linear, angular = (
         _present(data[f"twist.twist.{part}"], data["twist.covariance"]) for part in ("linear", "angular")
     )

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from quadftc_bags.bag import BagError
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import Event, FlightLog, Floats, Signal, Watched
+from quadftc_replay.readers.layouts import Layout
 
 Stamps = NDArray[np.int64]
 MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a damaged stamp
@@ -104,8 +105,15 @@ class Signals:
         """Names of the signals of a kind."""
         return list(self._named[field])
 
-    def flight_log(self, **known: Any) -> FlightLog:
-        """Put everything together; BagError if there is no signal at all."""
+    def flight_log(self, layout: Layout | None = None, is_own: bool = False, **known: Any) -> FlightLog:
+        """Put everything together; BagError if there is no signal at all.
+
+        ``is_own``: the attitude is computed from a gyro of the log.
+        """
+        if layout is not None:
+            known |= {"rotor_positions": layout.positions, "rotor_yaw_signs": layout.yaw_signs}
+        if is_own and self.has("attitude"):
+            known["attitude_from_gyro"] = True
         self._leave_out_other_times()
         everything = list(self._all())
         if not everything:

@@ -39,6 +39,7 @@ from quadftc_bags.bag import BagError
 from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_replay.dataflash import text_of
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.mavlink import RECEIVED, read_telemetry
 from quadftc_replay.readers.ardupilot_tables import OUTPUTS, add_rotors
@@ -88,11 +89,7 @@ def read(path: Path, system: int = 0) -> FlightLog:
     for stamp, text in _texts(messages):
         signals.say(stamp, "STATUSTEXT", text)
     layout = add_rotors(signals, _tables(messages), sound(_parameters(messages)))
-    return signals.flight_log(
-        attitude_from_gyro=True if signals.has("attitude") else None,
-        rotor_positions=layout and layout.positions,
-        rotor_yaw_signs=layout and layout.yaw_signs,
-    )
+    return signals.flight_log(layout, is_own=True)
 
 
 def _choose(
@@ -154,7 +151,6 @@ def _add_imus(signals: Signals, messages: Mapping[str, Table]) -> None:
 
 
 def _add_navigation(signals: Signals, messages: Mapping[str, Table]) -> None:
-    """Add barometers and satellite receivers."""
     for name, key in PRESSURES.items():
         if (table := messages.get(name)) and np.any(table["press_abs"]):
             height = pressure_height(HECTOPASCAL * table["press_abs"].astype(np.float64))
@@ -177,7 +173,6 @@ def _add_navigation(signals: Signals, messages: Mapping[str, Table]) -> None:
 
 
 def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
-    """Add attitude, body rate, position, velocity and battery."""
     there = [name for name in ("ATTITUDE", "ATTITUDE_QUATERNION") if name in messages]
     if name := max(there, key=lambda each: len(messages[each][RECEIVED]), default=""):
         table = messages[name]
@@ -214,8 +209,7 @@ def _texts(messages: Mapping[str, Table]) -> list[tuple[int, str]]:
     table = messages.get("STATUSTEXT")
     if table is None:
         return []
-    texts = [bytes(each).split(b"\0")[0].decode("utf-8", "replace") for each in table["text"].tolist()]
-    return list(zip(stamps_of(table).tolist(), texts, strict=True))
+    return list(zip(stamps_of(table).tolist(), map(text_of, table["text"].tolist()), strict=True))
 
 
 def _parameters(messages: Mapping[str, Table]) -> dict[str, float]:
@@ -223,7 +217,7 @@ def _parameters(messages: Mapping[str, Table]) -> dict[str, float]:
     table = messages.get("PARAM_VALUE")
     if table is None:
         return {}
-    names = [bytes(each).split(b"\0")[0].decode("ascii", "replace") for each in table["param_id"].tolist()]
+    names = map(text_of, table["param_id"].tolist())
     return dict(zip(names, table["param_value"].astype(np.float64).tolist(), strict=True))
 
 

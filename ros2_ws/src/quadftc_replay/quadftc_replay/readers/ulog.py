@@ -123,13 +123,7 @@ def read(path: Path) -> FlightLog:
     _add_events(signals, log)
     rotors = _add_rotors(signals, log)
     _add_setpoints(signals, log)
-    layout = _layout(log.parameters, rotors)
-    return signals.flight_log(
-        attitude_from_gyro=True if signals.has("attitude") else None,
-        torque_unit="1",
-        rotor_positions=layout and layout.positions,
-        rotor_yaw_signs=layout and layout.yaw_signs,
-    )
+    return signals.flight_log(_layout(log.parameters, rotors), is_own=True, torque_unit="1")
 
 
 class _Watched(io.BufferedReader):
@@ -230,7 +224,6 @@ def _main_device(log: Contents, key: str) -> int | None:
 
 
 def _add_states(signals: Signals, log: Contents) -> None:
-    """Add attitude, position, velocity, acceleration and battery."""
     if data := log.get(ATTITUDE):
         if (q_wxyz := vectors(data, "q", 4)) is not None:
             signals.add("attitude", stamps_of(data), enu_flu_from_ned_frd(q_wxyz), ATTITUDE)
@@ -251,7 +244,6 @@ def _add_states(signals: Signals, log: Contents) -> None:
 
 
 def _watch(signals: Signals, log: Contents) -> None:
-    """Add what has a limit: innovations of the estimator, board voltage, processor, the log itself."""
     if data := log.get(ESTIMATOR):
         for field, name in RATIOS.items():
             if (ratio := data.get(f"{field}_test_ratio")) is not None:
@@ -265,7 +257,6 @@ def _watch(signals: Signals, log: Contents) -> None:
 
 
 def _add_events(signals: Signals, log: Contents) -> None:
-    """Add what the autopilot said: messages, failures it detected, changes of estimator, resets."""
     said = [(stamp, "message", text) for stamp, text in log.messages]
     if data := log.get(DETECTOR):
         for name in data:
@@ -293,7 +284,6 @@ def _changes(data: Dataset, field: str) -> Iterator[tuple[int, int]]:
 
 
 def _add_setpoints(signals: Signals, log: Contents) -> None:
-    """Add torque and thrust that the controller asked for, as shares of the greatest."""
     if (data := log.get(TORQUE)) and (value := vectors(data, "xyz")) is not None:
         signals.add("torque_command", stamps_of(data), flu_from_frd(value), TORQUE)
     elif (data := log.get(CONTROLS)) and (value := vectors(data, "control")) is not None:
@@ -346,7 +336,6 @@ def _add_outputs(signals: Signals, log: Contents, count: int) -> None:
 
 
 def _output_range(parameters: Mapping[str, float], output: Floats) -> tuple[float, float, str]:
-    """Outputs at no and at full thrust, and their unit."""
     if output.max() > MAX_PULSE:
         return 0.0, CAN_FULL, f"0 to {CAN_FULL:g}"
     if output.max() <= 1.0:

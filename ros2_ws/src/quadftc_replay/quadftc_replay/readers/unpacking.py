@@ -127,7 +127,6 @@ def _inflate(stream: IO[bytes]) -> Iterator[bytes]:
 
 
 def _read_gzip(stream: IO[bytes]) -> Generator[bytes, None, None]:
-    """Unpack all members, up to the cut."""
     member, block = zlib.decompressobj(31), stream.read(BLOCK)
     while block:
         yield member.decompress(block, BLOCK)
@@ -141,7 +140,6 @@ def _read_gzip(stream: IO[bytes]) -> Generator[bytes, None, None]:
 
 
 def _read_zstandard(stream: IO[bytes]) -> Iterator[bytes]:
-    """Unpack all frames, up to the cut."""
     size = zstandard.frame_content_size(stream.read(64))  # -1: not known
     stream.seek(0)
     reader = zstandard.ZstdDecompressor(max_window_size=WINDOW).stream_reader(stream, read_across_frames=True)

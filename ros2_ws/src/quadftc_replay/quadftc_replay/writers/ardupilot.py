@@ -137,7 +137,6 @@ def _add_imus(writer: DataflashWriter, log: FlightLog) -> None:
 
 
 def _add_attitude(writer: DataflashWriter, log: FlightLog) -> None:
-    """Add attitude, and rates with the torque that is asked for."""
     if log.attitude is not None:
         attitude = thin(log.attitude, RATES["ATT"])
         roll, pitch, yaw = np.degrees(euler_from_quaternion(attitude.value)).T
@@ -158,7 +157,6 @@ def _add_attitude(writer: DataflashWriter, log: FlightLog) -> None:
 
 
 def _add_rotors(writer: DataflashWriter, log: FlightLog) -> None:
-    """Add pulses to the motors, and the speeds that their ESCs report."""
     if log.rotor_commands is not None:
         commands = thin(log.rotor_commands, RATES["RCOU"])
         throttle = throttle_of_thrust(np.clip(commands.value, 0.0, 1.0), DEFAULTS["MOT_THST_EXPO"])
@@ -180,7 +178,6 @@ def _add_rotors(writer: DataflashWriter, log: FlightLog) -> None:
 
 
 def _add_navigation(writer: DataflashWriter, log: FlightLog) -> None:
-    """Add position and velocity, satellites, magnetometers, barometers and the battery."""
     if log.velocity is not None and log.position is not None:
         velocity = thin(log.velocity, RATES["XKF1"])
         state = {"V": enu_from_ned(velocity.value), "P": enu_from_ned(log.position.at(velocity.time))}

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT  # type: ignore[import-untyped]
 
-from quadftc_replay.dataflash import BEGIN, FORMAT, FORMAT_TYPE, HEAD
+from quadftc_replay.dataflash import BEGIN, FORMAT, FORMAT_TYPE, HEAD, numpy_type
 
 TYPES = cast("dict[str, tuple[str, float | None, Any]]", FORMAT_TO_STRUCT)  # letter: code, factor, class
 FORMAT_LETTERS, FORMAT_FIELDS = "BBnNZ", "Type,Length,Name,Format,Columns"
@@ -49,7 +49,7 @@ class DataflashWriter:
             raise ValueError(f"{name}: expected the fields {known[1]} of the types {known[0]}")
         stamps = np.atleast_1d(np.asarray(fields[STAMP], np.int64))
         codes = [TYPES[letter] for letter in letters]
-        pairs = [(field, _numpy_type(code[0])) for field, code in zip(fields, codes, strict=True)]
+        pairs = [(field, numpy_type(code[0])) for field, code in zip(fields, codes, strict=True)]
         table = np.zeros(len(stamps), np.dtype([("head", "S2"), ("kind", "u1"), *pairs]))
         table["head"], table["kind"] = HEAD, kind
         for (_, factor, _), (field, values) in zip(codes, fields.items(), strict=True):
@@ -69,17 +69,10 @@ class DataflashWriter:
 
 
 def _length(letters: str) -> int:
-    """Bytes of a message."""
-    return BEGIN + sum(np.dtype(_numpy_type(TYPES[letter][0])).itemsize for letter in letters)
-
-
-def _numpy_type(code: str) -> str:
-    """Type of NumPy for one of `struct`, little-endian."""
-    return f"S{code[:-1]}" if code.endswith("s") else f"<{code}"
+    return BEGIN + sum(np.dtype(numpy_type(TYPES[letter][0])).itemsize for letter in letters)
 
 
 def _encode(values: NDArray[Any], factor: float | None, kind: np.dtype[Any]) -> NDArray[Any]:
-    """Return what stands in the log for some values."""
     if kind.kind == "S":
         return values
     scaled = values / factor if factor else values

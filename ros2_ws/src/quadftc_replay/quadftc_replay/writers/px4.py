@@ -113,7 +113,6 @@ def _add_imu(writer: UlogWriter, log: FlightLog) -> None:
 
 
 def _add_states(writer: UlogWriter, log: FlightLog) -> None:
-    """Add attitude, position, velocity, acceleration and battery."""
     if log.attitude is not None:
         attitude = thin(log.attitude, RATES["vehicle_attitude"])
         turned = enu_flu_from_ned_frd(attitude.value[:, [3, 0, 1, 2]])  # its own way back
@@ -135,7 +134,6 @@ def _add_states(writer: UlogWriter, log: FlightLog) -> None:
 
 
 def _add_rotors(writer: UlogWriter, log: FlightLog) -> None:
-    """Add torque and thrust that are asked for, commands of the motors, and speeds of the ESCs."""
     torque, thrust = torque_and_thrust(log)
     if torque is not None and thrust is not None:
         asked = thin(torque, RATES["vehicle_torque_setpoint"])
@@ -160,7 +158,6 @@ def _add_rotors(writer: UlogWriter, log: FlightLog) -> None:
 
 
 def _add_navigation(writer: UlogWriter, log: FlightLog) -> None:
-    """Add the first receiver of satellites, magnetometer and barometer."""
     name = next((name for name in log.gps_velocities if name in log.gps_positions), None)
     if name is not None:
         velocity = thin(log.gps_velocities[name], RATES["vehicle_gps_position"])
