@@ -74,7 +74,6 @@ class FlightLog:
     # fix (as NMEA and MAVLink count: 3 is in space), satellites, standard deviation that it claims [m]
     gps_status: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3)
     attitude: Signal | None = None  # (n, 4) quaternion x, y, z, w, body to earth
-    angles: Signal | None = None  # (n, 3) roll, pitch, yaw [rad], where the log has only some of them
     attitude_from_gyro: bool | None = None  # whether it is computed from a gyro of this log; None: not known
     body_rate: Signal | None = None  # (n, 3) [rad/s]: estimated rate, where no gyro is logged
     position: Signal | None = None  # (n, 3) [m]

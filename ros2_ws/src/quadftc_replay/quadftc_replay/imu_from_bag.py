@@ -23,6 +23,8 @@ from quadftc_model.samples import ABSENT, AXES, ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay import imu_recording
 from quadftc_replay.imu_recording import Floats, Recording, SerializedTopic, Stamps
+from quadftc_replay.readers.bag_columns import is_named
+from quadftc_replay.readers.contents import list_some
 from quadftc_sim.injection import TRUTH
 
 IMU = "sensor_msgs/msg/Imu"
@@ -50,7 +52,7 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
     # which topics belong to this IMU
     topics = bag_topics(path)
     name = _choose_imu(topics, topic, path)
-    of_graph = next((each for each in (DATA, UNTOUCHED, CORRECTED) if _is(name, each)), None)
+    of_graph = next((each for each in (DATA, UNTOUCHED, CORRECTED) if is_named(name, each)), None)
     namespace = "/" if of_graph is None else name.removesuffix(of_graph)
     torque_topic = _torque_topic(topics, namespace, is_foreign=of_graph is None)
     truth = _truth_topics(topics, namespace) if of_graph == DATA else []  # what is before it has no fault
@@ -102,7 +104,7 @@ def _choose_imu(topics: _Topics, wanted: str, path: Path) -> str:
     filled = [name for name in names if topics[name].count]
     if not filled:
         raise BagError(f"{path}: no message on {', '.join(names)}")
-    chosen = filled if len(filled) == 1 else [name for name in filled if _is(name, DATA)]
+    chosen = filled if len(filled) == 1 else [name for name in filled if is_named(name, DATA)]
     if len(chosen) != 1:
         raise BagError(f"{path}: several IMUs, choose one with --topic: {', '.join(sorted(filled))}")
     return chosen[0]
@@ -134,7 +136,7 @@ def _full_name(topics: _Topics, wanted: str, path: Path) -> str:
     """Full name of a topic: as given, with or without its slash, or in the only namespace that has it."""
     short = wanted.strip("/")
     names = [wanted] if wanted in topics else [name for name in topics if name.strip("/") == short]
-    names = names or [name for name in topics if _is(name, short)]
+    names = names or [name for name in topics if is_named(name, short)]
     if len(names) == 1:
         return names[0]
     problem = "is in more than one namespace" if names else "is not in the bag"
@@ -143,19 +145,14 @@ def _full_name(topics: _Topics, wanted: str, path: Path) -> str:
 
 
 def _list_topics(topics: _Topics) -> str:
-    words = [f"{name} ({info.type_name})" for name, info in sorted(topics.items())]
-    more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
-    return (", ".join(words[:SHOWN]) or "none") + more
-
-
-def _is(name: str, topic: str) -> bool:
-    """Whether a full name is that of a relative topic, in whatever namespace."""
-    return f"/{name.lstrip('/')}".endswith(f"/{topic}")
+    return list_some([f"{name} ({info.type_name})" for name, info in sorted(topics.items())], SHOWN)
 
 
 def _torque_topic(topics: _Topics, namespace: str, is_foreign: bool) -> str | None:
     """The commands that belong to an IMU: of its namespace; beside a foreign IMU, the only ones there are."""
-    there = [n for n, info in topics.items() if info.type_name == VECTOR and info.count and _is(n, TORQUE)]
+    there = [
+        n for n, info in topics.items() if info.type_name == VECTOR and info.count and is_named(n, TORQUE)
+    ]
     own = f"{namespace}{TORQUE}"
     return own if own in there else there[0] if len(there) == 1 and is_foreign else None
 

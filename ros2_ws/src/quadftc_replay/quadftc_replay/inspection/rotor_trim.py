@@ -29,7 +29,6 @@ from quadftc_replay.inspection.whitening import TO_SIGMA, Floats
 # may differ more, as batteries are pushed in from the front. From vehicle to vehicle: estimates, from six
 BETWEEN_FLIGHTS = np.array([0.01, 0.04, 0.02])
 BETWEEN_VEHICLES = np.array([0.12, 0.12, 0.2])
-UNKNOWN_LAYOUT = 0.025  # of each share, where nobody knows where the rotors are
 STEADY = 0.2  # 1; how far the mean command may be from its median
 BLOCK = 2.0  # s
 COMES_AGAIN = 0.35  # 1; share of what blocks differ by
@@ -122,17 +121,10 @@ def normalised(rows: Floats) -> Floats:
 
 def find_weak(trim: Trim, healthy: Trim | None, layout: Floats | None) -> Weak | None:
     """Find the weak rotor that explains a trim; ``healthy`` is that of a flight without a fault."""
-    count = len(trim.share)
-    if healthy is not None and len(healthy.share) != count:
+    rows = layout
+    if rows is None or (healthy is not None and len(healthy.share) != len(trim.share)):
         return None
-    if healthy is None and layout is None:
-        return None
-    if layout is None:
-        rows = np.eye(count) - 1.0 / count
-        spread = np.full(count, UNKNOWN_LAYOUT)
-    else:
-        rows = layout
-        spread = BETWEEN_VEHICLES if healthy is None else BETWEEN_FLIGHTS
+    spread = BETWEEN_VEHICLES if healthy is None else BETWEEN_FLIGHTS
     seen, variance = trim.seen_by(rows)
     if healthy is not None:
         usual, more = healthy.seen_by(rows)

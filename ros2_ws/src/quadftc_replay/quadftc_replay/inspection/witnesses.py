@@ -55,9 +55,8 @@ def pair_findings(
         common = [name for name in parting.names if any(name in each.names for each in others)]
         if len(common) == 1:  # it differs from two others
             if not any(_is_of(each.finding, kind, common[0], parting) for each in found):
-                found.append(
-                    _pair_found(kind, sensors, parting, 2.0 if common[0] == parting.names[0] else -2.0)
-                )
+                blame = 2.0 if common[0] == parting.names[0] else -2.0
+                found.append(_pair_found(kind, sensors, parting, blame))
         else:
             found.append(_pair_found(kind, sensors, parting, _blame(flight, kind, sensors, parting)))
     return found

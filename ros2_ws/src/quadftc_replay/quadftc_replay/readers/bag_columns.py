@@ -122,6 +122,11 @@ def _named_by_content(file: Path, stack: contextlib.ExitStack) -> Path:
     return link
 
 
+def is_named(name: str, topic: str) -> bool:
+    """Whether a full name is that of a relative topic, in whatever namespace."""
+    return f"/{name.strip('/')}".endswith(f"/{topic}")
+
+
 def trailing_number(name: str) -> int | None:
     """Number at the end of a name, such as that of a joint."""
     found = re.search(r"(\d+)\D*$", name)

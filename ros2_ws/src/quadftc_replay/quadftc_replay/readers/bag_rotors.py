@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model.vehicle import Vehicle
-from quadftc_replay.readers.bag_columns import Choose, Columns, trailing_number
+from quadftc_replay.readers.bag_columns import Choose, Columns, is_named, trailing_number
 from quadftc_replay.readers.signals import Signals
 
 JOINTS, ACTUATORS = "sensor_msgs/msg/JointState", "actuator_msgs/msg/Actuators"
@@ -70,7 +70,7 @@ def _best(kinds: Mapping[str, str], data: Mapping[str, Columns], ending: str) ->
     """Topic of speeds or commands, by their usual name, else by what the name says; empty: none."""
 
     def rank(name: str) -> tuple[bool, int]:
-        return f"/{name.strip('/')}".endswith(f"/{ending}"), len(data[name]["stamp_ns"])
+        return is_named(name, ending), len(data[name]["stamp_ns"])
 
     names = [name for name, kind in kinds.items() if kind in CHOOSERS]
     fit = [name for name in names if _is_command(name) == (ending == COMMANDS)]

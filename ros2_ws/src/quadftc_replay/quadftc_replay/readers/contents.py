@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from quadftc_replay.thinning import Data
 
@@ -94,6 +94,12 @@ def is_text(head: bytes) -> bool:
         if error.start < len(head) - 3:  # else a character that is cut
             return False
     return bool(head) and not any(byte < 32 and byte not in b"\t\n\r" for byte in head)
+
+
+def list_some(words: Sequence[str], shown: int) -> str:
+    """Write the first of some words in one line, and how many more there are."""
+    more = f" and {len(words) - shown} more" if len(words) > shown else ""
+    return (", ".join(words[:shown]) or "none") + more
 
 
 def name_content(head: bytes) -> str:

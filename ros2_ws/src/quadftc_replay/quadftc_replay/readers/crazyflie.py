@@ -7,7 +7,6 @@
 | accelerometer | ``acc`` [g] |
 | magnetometer | ``mag`` [gauss] |
 | attitude | ``stateEstimate.q``, ``ctrlLee.rpy`` [rad], angles of ``stateEstimate`` or ``stabilizer`` [deg] |
-| angles | those of the angles of ``stateEstimate`` or ``stabilizer`` that are there, if not all are |
 | position, velocity | ``stateEstimate`` [m, m/s], ``stateEstimateZ`` [mm, mm/s] |
 | acceleration | ``stateEstimate`` [g], ``stateEstimateZ`` [mm/s², with gravity] |
 | rotor speeds | ``rpm.m1`` to ``m4``, ``motor.m1_rpm`` to ``m4_rpm`` [rpm] |
@@ -73,10 +72,11 @@ RATES = (
     _source("stateEstimateZ.rate", "Roll Pitch Yaw", MILLI, -MILLI, MILLI),
 )
 QUATERNIONS = (_source("stateEstimate.q", "x y z w", 1.0),)
-DEGREES = tuple(
-    _source(group, "roll pitch yaw", DEGREE, -DEGREE, DEGREE) for group in ("stateEstimate.", "stabilizer.")
+ANGLES = (
+    _source("ctrlLee.rpy", "x y z", 1.0),
+    _source("stateEstimate.", "roll pitch yaw", DEGREE, -DEGREE, DEGREE),
+    _source("stabilizer.", "roll pitch yaw", DEGREE, -DEGREE, DEGREE),
 )
-ANGLES = (_source("ctrlLee.rpy", "x y z", 1.0), *DEGREES)
 SPEEDS = (_source("rpm.m", "1 2 3 4", RPM), _source("motor.", "m1_rpm m2_rpm m3_rpm m4_rpm", RPM))
 PID = _source("controller.cmd_", "thrust roll pitch yaw", 1.0)
 FIRST: Mapping[str, Sequence[Source]] = {
@@ -152,17 +152,6 @@ class _Table:
                 return Taken(rows.stamp_ns, value, f"{name}: {', '.join(source.names)}")
         return None
 
-    def take_some(self, source: Source) -> Taken | None:
-        """Return those variables of a source that an event has; NaN for the others."""
-        for name, rows in self.events.items():
-            there = [variable for variable in source.names if variable in rows.columns]
-            if there:
-                absent = np.full(len(rows.stamp_ns), np.nan)
-                data = {variable: rows.columns.get(variable, absent) for variable in source.names}
-                value = columns(data, source.names) * source.scale
-                return Taken(rows.stamp_ns, value, f"{name}: {', '.join(there)}")
-        return None
-
 
 def _add(signals: Signals, field: str, taken: Taken | None, name: str = "") -> bool:
     return taken is not None and signals.add(field, taken.stamp_ns, taken.value, taken.names, name)
@@ -173,10 +162,6 @@ def _add_attitude(signals: Signals, table: _Table) -> None:
         return
     if (angles := table.take(ANGLES)) is not None:
         _add(signals, "attitude", angles._replace(value=quaternion_from_euler(angles.value)))
-        return
-    for source in DEGREES:
-        if _add(signals, "angles", table.take_some(source)):
-            return
 
 
 def distribute(command: Floats) -> Floats:

@@ -41,6 +41,7 @@ from quadftc_replay.readers.bag_columns import (
     ColumnBag,
     Columns,
     ColumnTopic,
+    is_named,
     read_columns,
 )
 from quadftc_replay.readers.bag_rotors import add_rotors, find_rotor_choice
@@ -147,10 +148,8 @@ class _Topics:
 
     def of(self, kind: str, ending: str = "") -> list[str]:
         """Topics of a type whose names end so, those with most samples first; no setpoints."""
-        names = [
-            name for name, its in self.kinds.items() if its == kind and (ending or not WISHES.search(name))
-        ]
-        fit = [name for name in names if f"/{name.strip('/')}".endswith(f"/{ending}" if ending else "")]
+        names = (name for name, its in self.kinds.items() if its == kind)
+        fit = [name for name in names if (is_named(name, ending) if ending else not WISHES.search(name))]
         return sorted(fit, key=lambda name: -len(self.data[name]["stamp_ns"]))
 
     def best(self, kind: str, ending: str = "") -> str:
@@ -158,14 +157,9 @@ class _Topics:
         return next(iter(self.of(kind, ending)), "")
 
 
-def _ends(name: str, topic: str) -> bool:
-    """Whether a full name is that of a relative topic, in whatever namespace."""
-    return f"/{name.strip('/')}".endswith(f"/{topic}")
-
-
 def _find_choice(name: str, kind: str) -> Choose | None:
     """Whether a topic counts, and what is kept of its messages."""
-    if kind == VECTOR and not _ends(name, TORQUE):
+    if kind == VECTOR and not is_named(name, TORQUE):
         return None
     return CHOOSERS.get(kind) or find_rotor_choice(name, kind)
 
@@ -181,7 +175,7 @@ def _is_beside(name: str, names: list[str]) -> bool:
 
 def _add_imus(signals: Signals, topics: _Topics) -> None:
     names = topics.of(IMU)
-    names.sort(key=lambda name: not _ends(name, MAIN_IMU))
+    names.sort(key=lambda name: not is_named(name, MAIN_IMU))
     for number, name in enumerate(names):
         data = topics[name]
         if twin := next((other for other in names[:number] if _is_same(data, topics[other])), ""):

@@ -16,6 +16,7 @@ import numpy as np
 
 from quadftc_bags.bag import BagError
 from quadftc_replay.flight_log import FlightLog, Floats
+from quadftc_replay.readers.contents import list_some
 from quadftc_replay.readers.mapping import QUANTITIES, TIME_UNITS, Mapping, load_mapping
 from quadftc_replay.readers.signals import Signals
 from quadftc_replay.thinning import Thinning
@@ -70,7 +71,7 @@ def _find_header(lines: Iterator[str], column: str, where: str, path: Path) -> t
             if column in names:
                 return names, delimiter
             first = first if len(first) >= len(names) else names
-    raise BagError(f"{where}: no column '{column}' in {path.name}; columns there: {_list(first)}")
+    raise BagError(f"{where}: no column '{column}' in {path.name}; columns there: {list_some(first, SHOWN)}")
 
 
 def _places(names: Sequence[str], meaning: Mapping, mapping: Path, path: Path) -> list[int]:
@@ -81,7 +82,7 @@ def _places(names: Sequence[str], meaning: Mapping, mapping: Path, path: Path) -
     for where, column in wanted:
         if names.count(column) != 1:
             problem = f"{names.count(column)} columns" if column in names else "no column"
-            there = f"columns there: {_list(names)}"
+            there = f"columns there: {list_some(names, SHOWN)}"
             raise BagError(f"{mapping}: {where}: {problem} '{column}' in {path.name}; {there}")
     return [names.index(column) for _, column in wanted]
 
@@ -115,8 +116,3 @@ def _number(cell: str) -> float:
         return float(cell)
     except ValueError:
         return float("nan")
-
-
-def _list(names: Sequence[str]) -> str:
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return (", ".join(names[:SHOWN]) or "none") + more

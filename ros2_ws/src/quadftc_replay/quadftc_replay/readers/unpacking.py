@@ -12,12 +12,12 @@ import zipfile
 import zlib
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 import zstandard
 
 from quadftc_bags.bag import BagError
-from quadftc_replay.readers.contents import HEAD
+from quadftc_replay.readers.contents import HEAD, list_some
 
 ZIP, GZIP, ZSTANDARD = b"PK\x03\x04", b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 ENTRY = struct.Struct("<4s4sH8s2I2H")  # of a file: signature, method, size packed, length of name and more
@@ -36,16 +36,12 @@ DAMAGE = (
 )
 
 
-class Unpacked(NamedTuple):
-    """A log that was unpacked."""
-
-    file: Path
-    log: int  # which of the logs in it is meant; 0: the only one
-    notes: tuple[str, ...]  # one line each
-
-
-def unpack(path: Path, directory: Path, log: int, is_log: Callable[[bytes], bool]) -> Unpacked:
+def unpack(
+    path: Path, directory: Path, log: int, is_log: Callable[[bytes], bool]
+) -> tuple[Path, int, tuple[str, ...]]:
     """Unpack a log into a directory, of damaged data what comes before the damage.
+
+    Returns the file, which of the logs in it is meant (0: the only one), and notes.
 
     ``log`` is one of several logs. BagError if there is none, more than one to choose from, or too much.
     """
@@ -68,7 +64,7 @@ def unpack(path: Path, directory: Path, log: int, is_log: Callable[[bytes], bool
             raise
         raise BagError(f"{path}: cannot be unpacked: {_words(error)}") from None
     cut = f"{CUT} where it is packed: {problem}; read up to there" if problem else ""
-    return Unpacked(file, inner, tuple(filter(None, (said, cut))))
+    return file, inner, tuple(filter(None, (said, cut)))
 
 
 def _choose(
@@ -170,9 +166,7 @@ def _store(blocks: Iterator[bytes], file: Path, path: Path) -> str:
 
 def _list(entries: list[zipfile.ZipInfo], *, numbered: bool = False) -> str:
     names = [f"{number} {each.filename}" for number, each in enumerate(entries, 1)]
-    names = names if numbered else [each.filename for each in entries]
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return (", ".join(names[:SHOWN]) or "nothing") + more
+    return list_some(names if numbered else [each.filename for each in entries], SHOWN)
 
 
 def _words(error: BaseException) -> str:
