@@ -9,7 +9,7 @@ import numpy as np
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import BODY_AXES, Found, make_finding
+from quadftc_replay.inspection.found import BODY_AXES, Found, make_found
 from quadftc_replay.inspection.rests import rests_of
 from quadftc_replay.inspection.steps import LIMITS, begins_within, join_ends, shows, step_found, steps_of
 
@@ -53,11 +53,11 @@ def _rest_findings(flight: Flight, component: str, sensor: Signal) -> Iterator[F
         begin, end = rests[first - 1].end, rests[first].start
         onset = begins_within(flight, sensor, LIMITS["accelerometer"], axis, size, (begin, end))
         said.append(f"at rest until {begin:.2f} s it was right, from {end:.2f} s on it is not")
-    finding = make_finding(
+    yield make_found(
         *(component, element, "offset", onset),
         size=size,
         sigma=float(sizes[off].std()),
         unit="m/s^2",
         evidence=tuple(said),
+        is_direct=True,
     )
-    yield Found(finding, None, True)

@@ -11,7 +11,7 @@ from scipy import ndimage
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.flight import Flight, Interval
-from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.steps import Step, join_ends, steps_beyond
 from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask, find_steps
 
@@ -155,7 +155,8 @@ def attitude_findings(
             f"it jumps by {jump.size / DEGREE:+.3g} deg within one sample while the gyro sees no turn,"
             f" {jump.score:.0f} standard deviations"
         )
-        finding = make_finding(
+        lines = {"attitude less integrated gyro": offset[:, jump.axis]}
+        yield make_found(
             *("attitude", ANGLES[jump.axis], "offset", jump.onset),
             end_s=jump.end,
             size=jump.size,
@@ -163,9 +164,8 @@ def attitude_findings(
             unit="rad",
             probability=confidence(jump.score, LEVEL),
             evidence=(said,),
+            curve=Curve(f"attitude {ANGLES[jump.axis]}", "deg", time, lines),
         )
-        lines = {"attitude less integrated gyro": offset[:, jump.axis]}
-        yield make_found(finding, Curve(f"attitude {ANGLES[jump.axis]}", "deg", time, lines))
     for creep, whose in ((each, owner(each)) for each in creeps):
         corrects = is_own and creep.axis == 2 and whose is not None and whose.component == "attitude"
         if not corrects:  # estimators correct their heading in flight, by compass or satellites
@@ -200,7 +200,8 @@ def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: Owner 
         said.append(f"{owner.witness} says that it is the {owner.component}")
     if is_own:
         said.append("the attitude is computed from this gyro, so that an error of both does not show")
-    finding = make_finding(
+    lines = {"attitude less integrated gyro": np.cumsum(agreement.rest[:, creep.axis]) / DEGREE}
+    return make_found(
         *(component, element, "offset" if is_gyro or owner else "unknown", creep.span.start),
         end_s=creep.end,
         size=creep.size if is_gyro else -creep.size,
@@ -209,6 +210,5 @@ def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: Owner 
         probability=(0.9 if is_gyro or owner else 0.5) * confidence(creep.score, 1.0),
         ambiguous_with=() if owner else ("/".join(other),),
         evidence=tuple(said),
+        curve=Curve(f"{component} {element}", "deg", agreement.time, lines),
     )
-    lines = {"attitude less integrated gyro": np.cumsum(agreement.rest[:, creep.axis]) / DEGREE}
-    return make_found(finding, Curve(f"{component} {element}", "deg", agreement.time, lines))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from quadftc_replay.inspection.flight import Flight, rotor_level
-from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.whitening import Floats, runs_of
 
 FEWEST = 10  # samples
@@ -50,15 +50,15 @@ def battery_findings(flight: Flight) -> Iterator[Found]:
         if level is not None:
             share = np.interp(start, level.time, level.value[:, 0]) / np.nanmedian(level.value[:, 0])
             said.append(f"the rotors are asked for {100 * share:.0f} % of their usual level then")
-        finding = make_finding(
+        yield make_found(
             *("battery", "", "brownout", start),
             end_s=end if end < flight.intervals[-1].end - LASTS else None,
             size=lowest - usual,
             unit="V",
             probability=confidence(1.0 - lowest / usual, SAG),
             evidence=tuple(said),
+            curve=Curve("battery", "V", battery.time, {"voltage": volts}),
         )
-        yield make_found(finding, Curve("battery", "V", battery.time, {"voltage": volts}))
 
 
 def _leaves(time: Floats, volts: Floats, usual: float) -> float:

@@ -21,15 +21,7 @@ from quadftc_model.rotations import to_body
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import HUBER, ROUNDS, Agreement
 from quadftc_replay.inspection.flight import Flight, Interval, rotor_level
-from quadftc_replay.inspection.found import (
-    BODY_AXES,
-    Curve,
-    Found,
-    component_name,
-    confidence,
-    make_finding,
-    make_found,
-)
+from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, confidence, make_found
 from quadftc_replay.inspection.jumps import JUMP, find_jumps
 from quadftc_replay.inspection.path import attitude_at
 from quadftc_replay.inspection.readings import noise_findings
@@ -153,7 +145,7 @@ def _findings(
             said.append("all magnetometers do: the field around the vehicle is another one, or the attitude")
         elif len(fields) > 1:
             said.append("another magnetometer on the same vehicle does not")
-        finding = make_finding(
+        yield make_found(
             *(component, BODY_AXES[step.axis], "offset", step.onset),
             end_s=step.end,
             size=step.size,
@@ -162,8 +154,8 @@ def _findings(
             probability=confidence(step.score, 1.0) * (0.6 if may_be_attitude else 1.0),
             ambiguous_with=("attitude",) if may_be_attitude else (),
             evidence=tuple(said),
+            curve=_curve(field, name, unit),
         )
-        yield make_found(finding, _curve(field, name, unit))
     strongest = int(np.argmax(np.abs(field.currents)))
     added, sigma = float(field.currents[strongest]), float(field.sigma[strongest])
     if abs(added) > max(STRONG * field.size, 8.0 * sigma):
@@ -175,7 +167,7 @@ def _findings(
             f"it follows the level of the rotors: their usual range adds {show(added, unit)}"
             f" to a field of {show(field.size, unit)}",
         )
-        finding = make_finding(
+        yield make_found(
             *(component, BODY_AXES[strongest], "interference", start),
             size=added,
             sigma=sigma,
@@ -183,8 +175,9 @@ def _findings(
             probability=confidence(abs(added), STRONG * field.size) * (0.6 if all_do else 1.0),
             ambiguous_with=("attitude",) if all_do else (),
             evidence=said,
+            curve=_curve(field, name, unit),
+            is_direct=True,
         )
-        yield make_found(finding, _curve(field, name, unit), True)
 
 
 def _alike(step: Step, other: Step) -> bool:

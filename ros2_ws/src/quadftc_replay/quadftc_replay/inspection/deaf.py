@@ -10,15 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import (
-    BODY_AXES,
-    Curve,
-    Found,
-    component_name,
-    confidence,
-    make_finding,
-    make_found,
-)
+from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, confidence, make_found
 from quadftc_replay.inspection.readings import CALM, moving_noise
 from quadftc_replay.inspection.rotor_step import (
     ASIDE,
@@ -77,13 +69,14 @@ def deaf_findings(flight: Flight) -> list[Found]:
                 f"it stays within {np.ptp(value[run]):.2g} rad/s for {end - onset:.2g} s,"
                 f" while the rotors turn the vehicle about this axis, by {score:.0f} standard deviations",
             )
-            finding = make_finding(
+            found = make_found(
                 *(component_name("gyro", name), BODY_AXES[axis], "stuck", onset),
+                curve=Curve(f"gyro {BODY_AXES[axis]}", "rad/s", gyro.time, {"reading": value}),
                 end_s=None if run.stop == len(gyro) else end,
                 probability=confidence(score, 0.5 * ENDED),
                 evidence=said,
             )
-            return [make_found(finding, Curve(finding.name, "rad/s", gyro.time, {"reading": value}))]
+            return [found]
     return []
 
 

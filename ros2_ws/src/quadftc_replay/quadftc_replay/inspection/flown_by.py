@@ -15,7 +15,7 @@ from quadftc_model.rotations import euler_from_quaternion, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.path import attitude_at
 from quadftc_replay.inspection.whitening import Floats, runs_of, scale
 
@@ -53,7 +53,9 @@ def _positions(flight: Flight) -> Iterator[Found]:
         )
         names = ("east", "north", "up")
         sigma = max(scale(apart[run, axis] - middle[axis]), SMALLEST)
-        finding = make_finding(
+        lines = {name: apart[:, k] for k, name in enumerate(names)}
+        title = "position of the controller less that of the estimator"
+        yield make_found(
             *("position", names[axis], "offset", float(time[run.start])),
             end_s=_end(flight, time, run),
             size=float(middle[axis]),
@@ -62,10 +64,9 @@ def _positions(flight: Flight) -> Iterator[Found]:
             probability=confidence(float(np.median(size[run] / limit[run])), 1.0),
             ambiguous_with=("gps",),
             evidence=(said,),
+            curve=Curve(title, "m", time, lines),
+            is_direct=True,
         )
-        lines = {name: apart[:, k] for k, name in enumerate(names)}
-        title = "position of the controller less that of the estimator"
-        yield make_found(finding, Curve(title, "m", time, lines), True)
         return
 
 
@@ -88,7 +89,8 @@ def _headings(flight: Flight) -> Iterator[Found]:
     for run in _lasting(time, np.abs(np.nan_to_num(angle)) > TURNED + LEVEL * sigma):
         middle = float(np.median(angle[run]))
         said = f"the lean that the position controller sees is turned by {np.degrees(middle):+.0f} deg"
-        finding = make_finding(
+        title = "heading of the controller less that of the estimator"
+        yield make_found(
             *("attitude", "yaw", "offset", float(time[run.start])),
             end_s=_end(flight, time, run),
             size=middle,
@@ -97,9 +99,9 @@ def _headings(flight: Flight) -> Iterator[Found]:
             probability=confidence(abs(middle), TURNED + LEVEL * sigma),
             ambiguous_with=("gyro/z",),
             evidence=(said + " about the vertical: its heading is not the estimator's",),
+            curve=Curve(title, "rad", time, {"angle": angle}),
+            is_direct=True,
         )
-        title = "heading of the controller less that of the estimator"
-        yield make_found(finding, Curve(title, "rad", time, {"angle": angle}), True)
         return
 
 

@@ -52,12 +52,21 @@ def make_finding(component: str, element: str, kind: str, onset: float, **others
     return Finding(component=component, element=element, kind=kind, onset_s=max(onset, 0.0), **values)  # type: ignore[arg-type]
 
 
-def make_found(finding: Finding, curve: Curve | None, is_direct: bool = False) -> Found:
-    """Cut a curve to what is around a finding."""
+def make_found(
+    component: str,
+    element: str,
+    kind: str,
+    onset: float,
+    curve: Curve | None = None,
+    is_direct: bool = False,
+    **others: Any,
+) -> Found:
+    """Make a finding with what is around it of a curve; what is not given is not known."""
+    finding = make_finding(component, element, kind, onset, **others)
     if curve is not None:
         span = finding.onset_s - AROUND, (finding.end_s or finding.onset_s) + AROUND
         rows = slice(*np.searchsorted(curve.time, span))
-        lines = {name: values[rows] for name, values in curve.lines.items()}
+        lines = {each: values[rows] for each, values in curve.lines.items()}
         curve = curve._replace(time=curve.time[rows], lines=lines)
     return Found(finding, curve, is_direct)
 

@@ -15,7 +15,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import BODY_AXES, Found, component_name, make_finding
+from quadftc_replay.inspection.found import BODY_AXES, Found, component_name, make_found
 from quadftc_replay.inspection.rests import rests_of
 from quadftc_replay.inspection.steps import (
     LIMITS,
@@ -91,9 +91,13 @@ def _pulse_findings(name: str, pulses: Sequence[Step]) -> Iterator[Found]:
         if len(own) > MANY:
             largest = max(abs(step.size) for step in own)
             said = f"{len(own)} single readings are off by up to {largest:.3g} rad/s, on this axis alone"
-            component = component_name("gyro", name)
-            span = {"end_s": own[-1].onset, "size": largest, "unit": "rad/s"}
-            yield Found(make_finding(component, element, "noise", own[0].onset, evidence=(said,), **span))
+            yield make_found(
+                *(component_name("gyro", name), element, "noise", own[0].onset),
+                end_s=own[-1].onset,
+                size=largest,
+                unit="rad/s",
+                evidence=(said,),
+            )
 
 
 def _step_findings(
@@ -104,9 +108,8 @@ def _step_findings(
         own = [step for step in steps if step.axis == axis]
         if len(own) > MANY:
             said = f"{len(own)} steps of up to {max(abs(step.size) for step in own):.3g} rad/s in flight"
-            yield Found(
-                make_finding(component, element, "noise", own[0].onset, end_s=own[-1].onset, evidence=(said,))
-            )
+            begin, end = own[0].onset, own[-1].onset
+            yield make_found(component, element, "noise", begin, end_s=end, evidence=(said,))
             continue
         for step in own:
             alone = not any(
@@ -132,11 +135,11 @@ def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]
             between = rests[first - 1].end, rests[first].start
             onset = begins_within(flight, sensor, LIMITS["gyro"], axis, size, between)
             said.append(f"until {between[0]:.2f} s it was right, from {between[1]:.2f} s on it is not")
-        finding = make_finding(
+        yield make_found(
             *(component_name("gyro", name), element, "offset", onset),
             size=size,
             sigma=float(means[off, axis].std()),
             unit="rad/s",
             evidence=tuple(said),
+            is_direct=True,
         )
-        yield Found(finding, None, True)

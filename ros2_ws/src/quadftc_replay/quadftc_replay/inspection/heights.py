@@ -18,14 +18,7 @@ from quadftc_model.rotations import to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import (
-    Curve,
-    Found,
-    component_name,
-    confidence,
-    make_finding,
-    make_found,
-)
+from quadftc_replay.inspection.found import Curve, Found, component_name, confidence, make_found
 from quadftc_replay.inspection.jumps import DRIFT, FEWEST, JUMP, find_jumps
 from quadftc_replay.inspection.path import DELAYS, attitude_at
 from quadftc_replay.inspection.readings import noise_findings
@@ -199,7 +192,9 @@ def _found(
     component: str, element: str, kind: str, step: Step, said: str, residual: Signal, unit: str = "m"
 ) -> Found:
     """The finding of a jump or a drift of a quantity with some unit."""
-    finding = make_finding(
+    lines = {"difference": residual.value[:, step.axis]}
+    title = f"{component} {element}".strip() + " less the integral of what it follows from"
+    return make_found(
         *(component, element, kind, step.onset),
         end_s=step.end,
         size=step.size,
@@ -207,7 +202,5 @@ def _found(
         unit=unit if kind == "offset" else f"{unit}/s",
         probability=confidence(step.score, 1.0),
         evidence=(said,),
+        curve=Curve(title, unit, residual.time, lines),
     )
-    lines = {"difference": residual.value[:, step.axis]}
-    title = f"{component} {element}".strip() + " less the integral of what it follows from"
-    return make_found(finding, Curve(title, unit, residual.time, lines))

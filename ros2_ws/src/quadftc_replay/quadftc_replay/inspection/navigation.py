@@ -14,14 +14,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.compass import Field, compass_findings, fields_of
 from quadftc_replay.inspection.flight import Flight, Interval
-from quadftc_replay.inspection.found import (
-    BODY_AXES,
-    Curve,
-    Found,
-    component_name,
-    make_finding,
-    make_found,
-)
+from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, make_found
 from quadftc_replay.inspection.heights import barometer_findings, receiver_findings, velocity_findings
 from quadftc_replay.inspection.readings import absent_findings, stuck_intervals
 
@@ -81,13 +74,13 @@ def _stuck(
     why = turns if is_compass else "as it does not otherwise"
     said = f"it repeats its reading for {seconds:.3g} s, {why}"
     for column, element in enumerate(BODY_AXES if is_compass else ("",)):
-        finding = make_finding(
+        lines = {"reading": sensor.value[:, column]}
+        yield make_found(
             *(component, element, "stuck", first.start),
             end_s=None if last.end >= float(sensor.time[-1]) else last.end,
             evidence=(said,),
+            curve=Curve(f"{component} {element}", "", sensor.time, lines),
         )
-        lines = {"reading": sensor.value[:, column]}
-        yield make_found(finding, Curve(f"{component} {element}", "", sensor.time, lines))
 
 
 def _changes(sensor: Signal, stretch: Interval) -> int:

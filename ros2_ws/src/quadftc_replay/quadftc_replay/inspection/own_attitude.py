@@ -20,7 +20,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.attitude import ANGLES, Creep, Owner
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.identification import bin_means
 from quadftc_replay.inspection.whitening import Floats
 
@@ -93,7 +93,8 @@ def offset_finding(
     lasts = abs(float(np.mean(away[settled][-10:, axis]))) > 0.5 * abs(size)
     element, onset, end = "xyz"[axis], float(moments[0]), None if lasts else float(moments[-1])
     said = f"against gravity, its offset creeps to {size:+.3g} rad/s; healthy gyros stay within 0.01 rad/s"
-    finding = make_finding(
+    lines = {"offset of the gyro, by gravity": offset[:, axis]}
+    return make_found(
         *(component, element, "offset", onset),
         end_s=end,
         size=size,
@@ -102,9 +103,8 @@ def offset_finding(
         probability=(0.7 if agreement is None else 1.0) * confidence(abs(size), CREEP),
         ambiguous_with=("a long turn",) if agreement is None else (),
         evidence=(said,),
+        curve=Curve(f"offset of {component} {element}", "rad/s", time, lines),
     )
-    lines = {"offset of the gyro, by gravity": offset[:, axis]}
-    return make_found(finding, Curve(f"offset of {component} {element}", "rad/s", time, lines))
 
 
 def _is_seen(agreement: Agreement, axis: int, size: float, moment: float) -> bool:

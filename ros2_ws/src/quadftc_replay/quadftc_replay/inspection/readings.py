@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight, Interval
-from quadftc_replay.inspection.found import Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.verdict import show
 from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, runs_of
 
@@ -63,8 +63,8 @@ def _reading_found(
     words = "repeats its reading" if kind == "stuck" else "stays at its limit"
     said = f"it {words}, {show(reading, unit)}, for {seconds:.3g} s{several}"
     end = None if last.end >= float(time[-1]) else last.end
-    finding = make_finding(component, name, kind, first.start, end_s=end, evidence=(said,))
-    return make_found(finding, Curve(f"{component} {name}", unit, time, {"reading": values}))
+    curve = Curve(f"{component} {name}", unit, time, {"reading": values})
+    return make_found(component, name, kind, first.start, curve=curve, end_s=end, evidence=(said,))
 
 
 def stuck_intervals(flight: Flight, time: Floats, values: Floats) -> list[Interval]:
@@ -156,7 +156,7 @@ def absent_findings(
         seconds = sum(each.end - each.start for each in intervals)
         said = f"no usable reading for {seconds:.3g} s in {len(intervals)} stretches, while others went on"
         end = None if intervals[-1].end >= flight.intervals[-1].end else intervals[-1].end
-        yield Found(make_finding(component, "", "absent", intervals[0].start, end_s=end, evidence=(said,)))
+        yield make_found(component, "", "absent", intervals[0].start, end_s=end, evidence=(said,))
 
 
 def noise_findings(
@@ -197,7 +197,8 @@ def noise_findings(
         size = float(np.median(noise[runs[0], axis]))
         factor = size / float(floor[axis])
         said = f"noise of {show(size, unit)}, {factor:.0f} times the usual"
-        finding = make_finding(
+        lines = {"reading": sensor.value[:, axis]}
+        yield make_found(
             *(component, name, "noise", start),
             end_s=None if end > sensor.time[flying][-1] - WINDOW else end,
             size=size,
@@ -205,9 +206,8 @@ def noise_findings(
             unit=unit,
             probability=confidence(factor, level),
             evidence=(said + ", while the other axes stay calm" if alone else said,),
+            curve=Curve(f"{component} {name}", unit, sensor.time, lines),
         )
-        lines = {"reading": sensor.value[:, axis]}
-        yield make_found(finding, Curve(f"{component} {name}", unit, sensor.time, lines))
 
 
 def moving_noise(sensor: Signal, order: int = 3) -> Floats:

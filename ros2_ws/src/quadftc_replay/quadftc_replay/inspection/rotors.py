@@ -9,7 +9,7 @@ import numpy as np
 
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, prepare, row_means
-from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, make_found
 from quadftc_replay.inspection.identification import STANDS, Identified, identify
 from quadftc_replay.inspection.rotor_step import LEVEL as STEP_LEVEL
 from quadftc_replay.inspection.rotor_step import RotorStep, find_step, torque_by_model, torque_of
@@ -100,7 +100,8 @@ def _step_found(step: RotorStep) -> Found:
         " were missing;"
         f" what the controller asks for against it is not followed, by {step.score:.0f} standard deviations",
     )
-    finding = make_finding(
+    lines = {"roll": step.rest[:, 0], "pitch": step.rest[:, 1]}
+    return make_found(
         *("rotor", str(step.rotor + 1), "off" if step.share > ALL_OF_IT else "loss", step.onset),
         end_s=step.end,
         size=step.share,
@@ -109,9 +110,8 @@ def _step_found(step: RotorStep) -> Found:
         probability=confidence(step.score, 0.5 * STEP_LEVEL) * (0.6 if others else 1.0),
         ambiguous_with=others,
         evidence=said,
+        curve=Curve("torque not followed", "1", step.time, lines),
     )
-    lines = {"roll": step.rest[:, 0], "pitch": step.rest[:, 1]}
-    return make_found(finding, Curve("torque not followed", "1", step.time, lines))
 
 
 def _first(stopped: Found | None, lost: Found | None) -> list[Found]:
@@ -167,7 +167,7 @@ def _standing(flight: Flight) -> Iterator[Found]:
                 else f"as it slows down, it is asked for {100 * asked:.0f} % of what the others are asked for"
             )
             probability = UNASKED if asked is None else (ASKED if is_asked else CERTAIN)
-            finding = make_finding(
+            yield make_found(
                 *("rotor", str(rotor + 1), "off", onset),
                 end_s=None if end > float(sensor.time[there][-1]) - STANDS_FOR else end,
                 size=1.0 - (speed / rest) ** 2,
@@ -175,8 +175,8 @@ def _standing(flight: Flight) -> Iterator[Found]:
                 probability=probability,
                 ambiguous_with=() if probability == CERTAIN else ("command",),
                 evidence=tuple(said),
+                curve=_speed_curve(sensor),
             )
-            yield make_found(finding, _speed_curve(sensor))
             break
 
 
@@ -196,8 +196,8 @@ def _flies_on(flight: Flight, onset: float) -> bool:
 
 def _speed_absent(sensor: Signal, rotor: int, onset: float, end: float) -> Found:
     said = "it reads next to nothing, and the vehicle flies on as before: no rotor has stopped"
-    finding = make_finding("speed sensor", str(rotor + 1), "absent", onset, end_s=end, evidence=(said,))
-    return make_found(finding, _speed_curve(sensor))
+    curve, name = _speed_curve(sensor), ("speed sensor", str(rotor + 1), "absent")
+    return make_found(*name, onset, curve=curve, end_s=end, evidence=(said,))
 
 
 def _speed_curve(sensor: Signal) -> Curve:
@@ -246,7 +246,7 @@ def _weak_found(flight: Flight, weak: Weak, has_baseline: bool) -> Found:
     if not has_baseline:
         said.append("a centre of mass off the middle looks much the same: a healthy flight settles it")
     others = tuple(f"rotor/{k + 1}" for k in weak.others)
-    finding = make_finding(
+    found = make_found(
         *("rotor", str(number), "loss", flight.intervals[0].start),
         size=weak.loss,
         sigma=weak.sigma,
@@ -255,10 +255,7 @@ def _weak_found(flight: Flight, weak: Weak, has_baseline: bool) -> Found:
         ambiguous_with=others if has_baseline else (*others, "centre of mass"),
         evidence=tuple(said),
     )
-    mean = row_means(sensor.value)[:, 0]
-    lines = {
-        f"rotor {k + 1}": sensor.value[:, k] / np.maximum(mean, 1e-9) for k in range(sensor.value.shape[1])
-    }
     flying = flight.in_flight(sensor.time)
-    lines = {name: values[flying] for name, values in lines.items()}
-    return Found(finding, Curve("share of each rotor", "1", sensor.time[flying], lines))
+    shares = sensor.value[flying] / np.maximum(row_means(sensor.value)[flying], 1e-9)
+    lines = {f"rotor {k + 1}": share for k, share in enumerate(shares.T)}
+    return found._replace(curve=Curve("share of each rotor", "1", sensor.time[flying], lines))

@@ -9,7 +9,7 @@ import numpy as np
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, confidence, make_found
 from quadftc_replay.inspection.whitening import Floats, Mask, Steps, find_steps, is_pulse, peaks
 
 LEVEL = 8.0  # standard deviations; the largest in healthy flights of Crazyflies and PX4 is 4.2
@@ -116,7 +116,10 @@ def step_found(
     ]
     if not is_sure:
         said.append("other axes jump with it, as in a collision")
-    finding = make_finding(
+    flying = flight.in_flight(sensor.time)
+    sizes = find_steps(sensor.time, sensor.value[:, step.axis], flying, limits.floor).size
+    lines = {"step that best explains what follows": sizes}
+    return make_found(
         *(component, element, "offset", step.onset),
         end_s=step.end,
         size=step.size,
@@ -125,11 +128,8 @@ def step_found(
         probability=(1.0 if is_sure else 0.7) * confidence(step.score, LEVEL),
         ambiguous_with=() if is_sure else ("collision",),
         evidence=tuple(said),
+        curve=Curve(f"step of {component} {element}", unit, sensor.time, lines),
     )
-    flying = flight.in_flight(sensor.time)
-    sizes = find_steps(sensor.time, sensor.value[:, step.axis], flying, limits.floor).size
-    lines = {"step that best explains what follows": sizes}
-    return make_found(finding, Curve(f"step of {component} {element}", unit, sensor.time, lines))
 
 
 def begins_within(

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, confidence, make_finding, make_found
+from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, confidence, make_found
 from quadftc_replay.inspection.whitening import runs_of
 
 FEWEST = 20  # samples in flight
@@ -49,7 +49,7 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
         clips = flight.log.clips
         if clips is not None and (count := float(np.ptp(clips.at(np.array([start, end]))))) > 0:
             said.append(f"{count:.0f} samples are at the limit of the accelerometer meanwhile")
-        finding = make_finding(
+        yield make_found(
             *("vibration", element, "rise", onset),
             end_s=None if flight.log.end - end < LASTS else end,
             size=risen - usual,
@@ -57,6 +57,7 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
             unit="m/s^2",
             probability=confidence(risen, limit),
             evidence=tuple(said),
+            curve=Curve("vibration", "m/s²", time, {"level": value}),
+            is_direct=True,
         )
-        yield make_found(finding, Curve("vibration", "m/s²", time, {"level": value}), True)
         return

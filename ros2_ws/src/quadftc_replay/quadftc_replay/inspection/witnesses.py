@@ -10,15 +10,7 @@ from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import compare
 from quadftc_replay.inspection.flight import Flight
-from quadftc_replay.inspection.found import (
-    BODY_AXES,
-    Curve,
-    Found,
-    component_name,
-    confidence,
-    make_finding,
-    make_found,
-)
+from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, confidence, make_found
 from quadftc_replay.inspection.pairs import CLEAR, LONG, Parting, differ, jumps_more, partings
 from quadftc_replay.inspection.path import (
     LEVEL,
@@ -142,7 +134,13 @@ def _pair_found(kind: str, sensors: Mapping[str, Signal], parting: Parting, blam
     said = [f"it reads {size:+.3g} {unit.replace('^2', '²')} more than {other}, on the same vehicle"]
     if not is_clear:
         said.append("nothing tells which of the two is right")
-    finding = make_finding(
+    time = sensors[wrong].time
+    lines: dict[str, Floats] = {
+        component_name(kind, name): np.interp(time, each.time, each.value[:, parting.axis])
+        for name, each in sensors.items()
+        if name in parting.names
+    }
+    return make_found(
         *(component, element, "offset", parting.onset),
         end_s=parting.end,
         size=size,
@@ -151,14 +149,9 @@ def _pair_found(kind: str, sensors: Mapping[str, Signal], parting: Parting, blam
         probability=confidence(parting.score, 0.5) * (1.0 if is_clear else 0.5),
         ambiguous_with=() if is_clear else (f"{other}/{element}",),
         evidence=tuple(said),
+        curve=Curve(f"{kind} {element}", unit.replace("^2", "²"), time, lines),
+        is_direct=is_clear,
     )
-    time = sensors[wrong].time
-    lines: dict[str, Floats] = {
-        component_name(kind, name): np.interp(time, each.time, each.value[:, parting.axis])
-        for name, each in sensors.items()
-        if name in parting.names
-    }
-    return make_found(finding, Curve(f"{kind} {element}", unit.replace("^2", "²"), time, lines), is_clear)
 
 
 def _main_force(flight: Flight) -> Signal | None:
@@ -221,13 +214,13 @@ def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
         f"{what} the path that {known} as with {cause.size:+.3g} {unit.replace('^2', '²')} here,"
         f" {cause.score:.0f} standard deviations",
     )
-    finding = make_finding(
+    lines = {name: path.rest[:, k] for k, name in enumerate(BODY_AXES)}
+    return make_found(
         *(cause.component, cause.element, "offset", onset),
         size=cause.size,
         sigma=cause.sigma,
         unit=unit,
         probability=confidence(cause.score, LEVEL),
         evidence=said,
+        curve=Curve("specific force less that of the known path", "m/s²", path.time, lines),
     )
-    lines = {name: path.rest[:, k] for k, name in enumerate(BODY_AXES)}
-    return make_found(finding, Curve("specific force less that of the known path", "m/s²", path.time, lines))
