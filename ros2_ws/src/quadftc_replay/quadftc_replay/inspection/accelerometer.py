@@ -8,9 +8,8 @@ import numpy as np
 
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
-from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.flight import Flight, rests_of
 from quadftc_replay.inspection.found import BODY_AXES, Found, make_found
-from quadftc_replay.inspection.rests import rests_of
 from quadftc_replay.inspection.steps import LIMITS, begins_within, join_ends, shows, step_found, steps_of
 
 PULSE = 0.1  # s; what goes back within it is a knock

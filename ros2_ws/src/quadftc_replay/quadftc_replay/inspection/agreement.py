@@ -38,9 +38,7 @@ class Agreement(NamedTuple):
     time: Floats  # (n,) end of the interval [s]
     dt: Floats  # (n,) [s]
     rest: Floats  # (n, 3) e [rad], body axes
-    scale: (
-        Floats  # (3,) what of a rate on each axis was taken for a scale: an offset f adds -(1 + scale) f dt
-    )
+    scale: Floats  # (3,) of a rate, what was taken for a scale: an offset f adds -(1 + scale) f dt
     turn: Floats  # (n, 3) phi [rad]
 
 
@@ -54,8 +52,7 @@ def compare(attitude: Signal, gyro: Signal) -> Agreement | None:
     steps = np.diff(gyro_time)
     mean = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(mean, axis=0)])
-    at = np.stack([np.interp(time, gyro_time, angle[:, k]) for k in range(3)], axis=-1)
-    rate = np.stack([np.interp(time, gyro_time, rates[:, k]) for k in range(3)], axis=-1)
+    at, rate = (Signal(gyro_time, each).at(time) for each in (angle, rates))
     dt, theta, turn = np.diff(time), np.diff(at, axis=0), _turns(q)
     usual = float(np.median(dt))
     jumps = np.concatenate([[0.0], (steps > max(5.0 * float(np.median(steps)), 0.05)) * 1.0]).cumsum()

@@ -55,9 +55,8 @@ def first_cause(
     causes, follows = list[Found](), list[Found]()
     for each in left:
         finding = each.finding
-        out = (
-            ending.kind == "out of control" and finding.onset_s > ending.time_s and finding.kind not in FACTS
-        )
+        is_late = ending.kind == "out of control" and finding.onset_s > ending.time_s
+        out = is_late and finding.kind not in FACTS
         is_reset = finding.component == "attitude" and any(
             abs(event.time - finding.onset_s) < RESET and any(word in event.text for word in RESETS)
             for event in events
@@ -137,15 +136,10 @@ def _repeats(finding: Finding, known: Finding) -> bool:
         return True
     if finding.component != known.component:
         return False
-    if known.kind in ("stuck", "saturation", "absent", "noise") and finding.kind in (
-        "offset",
-        "drift",
-        "noise",
-        "unknown",
-        "absent",
-    ):
-        return known.kind != finding.kind or known.element == finding.element
-    return known.kind == finding.kind and known.element == finding.element
+    if known.kind == finding.kind:
+        return known.element == finding.element
+    is_dead = known.kind in ("stuck", "saturation", "absent", "noise")
+    return is_dead and finding.kind in ("offset", "drift", "noise", "unknown", "absent")
 
 
 def _overlap(finding: Finding, known: Finding) -> bool:

@@ -77,11 +77,9 @@ def _at_limits(commands: Signal | None, start: float, end: float) -> bool:
     if commands is None:
         return False
     part = commands.value[slice(*np.searchsorted(commands.time, (start, end)))]
-    return (
-        bool(np.any((np.nanmax(part, axis=1) > AT_LIMIT) & (np.nanmin(part, axis=1) < 1.0 - AT_LIMIT)))
-        if len(part)
-        else False
-    )
+    if not len(part):
+        return False
+    return bool(np.any((np.nanmax(part, axis=1) > AT_LIMIT) & (np.nanmin(part, axis=1) < 1.0 - AT_LIMIT)))
 
 
 def _turns_against(flight: Flight, start: float, end: float) -> bool:

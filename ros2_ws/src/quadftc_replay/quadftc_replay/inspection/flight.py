@@ -31,6 +31,7 @@ CRASH = 3.0  # s; after an impact, at which the vehicle lies still
 BEFORE_IMPACT = 0.3  # s
 AFTER_IMPACT = 0.1  # s; around which nothing is judged
 STILL = 0.05  # rad/s; scatter of a gyro of a vehicle that lies still
+RESTS = 2.0  # s; of a stretch at rest
 
 
 class Interval(NamedTuple):
@@ -182,3 +183,27 @@ def _trim(flight: Interval, first: float, last: float) -> Interval:
     start = flight.start if flight.start - first < 1.0 else flight.start + TAKE_OFF
     end = flight.end if last - flight.end < 1.0 else flight.end - LANDING
     return Interval(start, end)
+
+
+class Rest(NamedTuple):
+    """A stretch at rest."""
+
+    start: float  # s
+    end: float  # s
+    mean: Floats  # (3,) what the sensor reads
+
+
+def rests_of(flight: Flight, sensor: Signal, scatter: float) -> list[Rest]:
+    """Find blocks of `RESTS` in which a sensor (n, 3) scatters by less, and the vehicle does not fly."""
+    count = round(RESTS * sensor.rate)
+    if count < 10 or len(sensor) < count:
+        return []
+    blocks = len(sensor) // count
+    values = sensor.value[: blocks * count].reshape(blocks, count, -1)
+    times = sensor.time[: blocks * count].reshape(blocks, count)
+    quiet = (values.std(axis=1) < scatter).all(axis=1)
+    if flight.phases_known:
+        quiet &= ~flight.in_flight(times.ravel()).reshape(times.shape).any(axis=1)
+    return [
+        Rest(float(times[k, 0]), float(times[k, -1]), values[k].mean(axis=0)) for k in np.flatnonzero(quiet)
+    ]

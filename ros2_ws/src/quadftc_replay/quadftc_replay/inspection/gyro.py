@@ -14,9 +14,8 @@ import numpy as np
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
-from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.flight import Flight, rests_of
 from quadftc_replay.inspection.found import BODY_AXES, Found, component_name, make_found
-from quadftc_replay.inspection.rests import rests_of
 from quadftc_replay.inspection.steps import (
     LIMITS,
     Step,
@@ -79,15 +78,16 @@ def _explains(step: Step, creep: Creep) -> bool:
     return step.axis == creep.axis and overlap and abs(creep.size - step.size) < abs(step.size)
 
 
+def _is_alone(step: Step, steps: Sequence[Step]) -> bool:
+    """Whether no other axis steps at the same time."""
+    at_once = (each for each in steps if abs(each.onset - step.onset) < TOGETHER)
+    return all(each.axis == step.axis for each in at_once)
+
+
 def _pulse_findings(name: str, pulses: Sequence[Step]) -> Iterator[Found]:
     """Say where readings are wrong one by one."""
     for axis, element in enumerate(BODY_AXES):
-        own = [
-            step
-            for step in pulses
-            if step.axis == axis
-            and not any(other.axis != axis and abs(other.onset - step.onset) < TOGETHER for other in pulses)
-        ]
+        own = [step for step in pulses if step.axis == axis and _is_alone(step, pulses)]
         if len(own) > MANY:
             largest = max(abs(step.size) for step in own)
             said = f"{len(own)} single readings are off by up to {largest:.3g} rad/s, on this axis alone"
@@ -112,10 +112,8 @@ def _step_findings(
             yield make_found(component, element, "noise", begin, end_s=end, evidence=(said,))
             continue
         for step in own:
-            alone = not any(
-                other.axis != axis and abs(other.onset - step.onset) < TOGETHER for other in steps
-            )
-            yield step_found(flight, component, sensor, LIMITS["gyro"], step, alone or has_witness)
+            is_sure = has_witness or _is_alone(step, steps)
+            yield step_found(flight, component, sensor, LIMITS["gyro"], step, is_sure)
 
 
 def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]:

@@ -162,9 +162,8 @@ def _sensors(
         elif len(gyros) > 1 or by_satellites or not is_own or sensor.rate >= SLOWEST:
             inspection.judged.append(component)
         else:
-            inspection.cannot(
-                component, f"at {sensor.rate:.0f} Hz, without a second gyro, steps look like motion"
-            )
+            reason = f"at {sensor.rate:.0f} Hz, without a second gyro, steps look like motion"
+            inspection.cannot(component, reason)
     if not gyros:
         inspection.cannot("gyro", "no body rate is logged")
     if agreement is not None:
@@ -192,9 +191,8 @@ def _accelerometers(flight: Flight, has_path: bool, inspection: _Inspection) -> 
         if len(sensors) > 1 or has_path or (sensor.rate >= SLOWEST and flight.phases_known):
             inspection.judged.append(component)
         else:
-            inspection.cannot(
-                component, "without a second one, motors or satellites, its steps look like motion"
-            )
+            reason = "without a second one, motors or satellites, its steps look like motion"
+            inspection.cannot(component, reason)
         others = [each for other, each in sensors.items() if other != name]
         inspection.found += accelerometer_findings(flight, component, sensor, others)
     if not sensors:

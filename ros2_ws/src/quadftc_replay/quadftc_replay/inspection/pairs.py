@@ -67,10 +67,9 @@ def partings(
             for which, start, end in ignored:
                 if which in (name, other):
                     watched &= (difference.time < start - WINDOW) | (difference.time > end + WINDOW)
+            level = np.maximum(abs(a.value), abs(b.value))
             for axis in range(3):
-                yield from _along(
-                    kind, (name, other), axis, difference, np.maximum(abs(a.value), abs(b.value)), watched
-                )
+                yield from _along(kind, (name, other), axis, difference, level, watched)
 
 
 def _along(

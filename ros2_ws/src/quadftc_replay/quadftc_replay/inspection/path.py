@@ -70,12 +70,9 @@ def path_of(
     smallest: float = SMALLEST,
 ) -> Path | None:
     """Compare the paths; None where a signal is missing or they hardly overlap."""
-    if (
-        attitude is None
-        or force is None
-        or velocity is None
-        or min(map(len, (attitude, force, velocity))) < LEAST
-    ):
+    if attitude is None or force is None or velocity is None:
+        return None
+    if min(map(len, (attitude, force, velocity))) < LEAST:
         return None
     begin = max(float(each.time[0]) for each in (attitude, force, velocity)) + 0.5 * window
     end = min(float(each.time[-1]) for each in (attitude, force, velocity)) - 0.5 * window - DELAYS[-1]
@@ -102,11 +99,8 @@ def path_of(
     if len(changes) < LEAST:
         return None
     usual = float(np.quantile(changes, CALM)) / np.sqrt(2.0 * 1.4)  # of two times, of three components
-    return (
-        Path(time, np.where(known[:, None], rest, np.nan), usual, window, smallest)
-        if usual < USABLE
-        else None
-    )
+    known_rest = np.where(known[:, None], rest, np.nan)
+    return Path(time, known_rest, usual, window, smallest) if usual < USABLE else None
 
 
 def known_path(log: FlightLog, force: Signal | None) -> Path | None:
@@ -166,30 +160,20 @@ def causes_of(flight: Flight, path: Path) -> Iterator[Cause]:
 
 def _best_cause(path: Path, moment: float) -> Iterator[Cause]:
     """Compare all causes around a moment [s], by what they leave; none counts that leaves much."""
-    rows = slice(
-        *np.searchsorted(path.time, (moment - AROUND[0] * path.window, moment + AROUND[1] * path.window))
-    )
+    span = moment - AROUND[0] * path.window, moment + AROUND[1] * path.window
+    rows = slice(*np.searchsorted(path.time, span))
     time, rest = path.time[rows], np.nan_to_num(path.rest[rows])
     found: list[tuple[float, Cause]] = []
     for onset in np.arange(moment - 1.5 * path.window, moment + 0.5 * path.window, 0.5 * STEP).tolist():
         for name, shape, axis, scale in _shapes(time - onset, path.window):
-            component, element = name
             along = rest[:, axis]
             power = float(shape @ shape)
             amount = float(shape @ along) / max(power, 1e-9)
             left = float(np.sum(rest**2)) - amount**2 * power
             sigma = max(path.sigma, np.sqrt(max(left, 0.0) / rest.size))
             score = abs(amount) * np.sqrt(power) / max(sigma, 1e-9)
-            cause = Cause(
-                component,
-                element,
-                onset,
-                amount * scale,
-                abs(scale) * sigma / np.sqrt(max(power, 1e-9)),
-                score,
-                "",
-            )
-            found.append((left, cause))
+            spread = abs(scale) * sigma / np.sqrt(max(power, 1e-9))
+            found.append((left, Cause(*name, onset, amount * scale, float(spread), score, "")))
     found.sort(key=lambda each: each[0])
     left, best = found[0]
     other = next((each for _, each in found if each[:2] != best[:2]), best)

@@ -77,13 +77,10 @@ def stuck_intervals(flight: Flight, time: Floats, values: Floats) -> list[Interv
     starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(readings)]])
     lengths = ends - starts
     if len(lengths) < 20:  # hardly ever another reading: the signal is coarse, or never moved
-        return (
-            [] if len(lengths) > 1 or len(readings) < 100 else [Interval(float(times[0]), float(times[-1]))]
-        )
+        is_still = len(lengths) == 1 and len(readings) >= 100
+        return [Interval(float(times[0]), float(times[-1]))] if is_still else []
     usual = lengths[lengths <= np.quantile(lengths, USUAL)]
-    repeats = max(
-        1.0 - len(usual) / max(float(usual.sum()), 1.0), 0.0
-    )  # probability that a reading is repeated
+    repeats = max(1.0 - len(usual) / max(float(usual.sum()), 1.0), 0.0)  # probability of a repeated reading
     by_chance = np.log(CHANCE / len(readings)) / np.log(repeats) if repeats > 0.0 else 1.0
     least = max(by_chance, LONGER * float(usual.max()))
     found: list[Interval] = []
@@ -219,21 +216,10 @@ def moving_noise(sensor: Signal, order: int = 3) -> Floats:
     # the median over the window is not moved by single spikes
     stride = max(1, length // 8)
     rows = np.arange(0, len(values), stride)
-    coarse = ndimage.median_filter(
-        np.stack([np.median(_pad(fast[:, k], stride), axis=1) for k in range(values.shape[1])], axis=-1),
-        size=(9, 1),
-    )
-    every = np.arange(len(values))
-    return TO_SIGMA * np.stack(
-        [np.interp(every, rows + stride / 2.0, coarse[: len(rows), k]) for k in range(values.shape[1])],
-        axis=-1,
-    )
-
-
-def _pad(values: Floats, length: int) -> Floats:
-    """Rows of a length, the last one filled up with the last value."""
-    count = -(-len(values) // length)
-    return np.pad(values, (0, count * length - len(values)), mode="edge").reshape(count, length)
+    padded = np.pad(fast, ((0, len(rows) * stride - len(fast)), (0, 0)), mode="edge")
+    medians = np.median(padded.reshape(len(rows), stride, -1), axis=1)
+    coarse = Signal(rows.astype(np.float64) + stride / 2.0, ndimage.median_filter(medians, size=(9, 1)))
+    return TO_SIGMA * coarse.at(np.arange(len(values), dtype=np.float64))
 
 
 def _overlaps(interval: Interval, others: list[Interval]) -> bool:

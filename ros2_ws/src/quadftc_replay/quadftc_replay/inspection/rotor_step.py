@@ -94,9 +94,8 @@ def fast_commands(log: FlightLog) -> Signal | None:
     asked = Signal(torque.time, np.hstack([torque.value, thrust.at(torque.time)[:, :1], ones]))
     at = asked.at(commands.time)
     inside = (commands.value > 0.02).all(axis=1) & (commands.value < 0.98).all(axis=1)
-    inside &= (
-        np.isfinite(at).all(axis=1) & (commands.time >= torque.time[0]) & (commands.time <= torque.time[-1])
-    )
+    inside &= (commands.time >= torque.time[0]) & (commands.time <= torque.time[-1])
+    inside &= np.isfinite(at).all(axis=1)
     if inside.sum() < 20:
         return commands
     mixer = np.linalg.lstsq(at[inside], commands.value[inside], rcond=None)[0]
@@ -222,15 +221,10 @@ class Shares(NamedTuple):
 
 
 def _shares(
-    part: Torque,
-    rest: Floats,
-    factors: Floats,
-    covariance: Floats,
-    k: NDArray[np.int_],
-    before: int,
-    count: int,
+    part: Torque, rest: Floats, model: tuple[Floats, Floats], k: NDArray[np.int_], before: int, count: int
 ) -> Shares:
     """Compare the steps at rows ``k``, over ``count`` samples less ``before``, with those of each rotor."""
+    factors, covariance = model
     others_only = covariance.copy()
     others_only[:, SIGNED, :] = others_only[:, :, SIGNED] = 0.0
     step = steps(rest, k, before, count)
@@ -262,7 +256,7 @@ def search(torque: Torque, factors: Floats, covariance: Floats, level: float = L
         k = np.arange(max(FEWEST, round(KNOWN / period)), len(rest) - shortest + 1)
         if not len(k):
             continue
-        share, sure, sigma, aside = _shares(part, rest, factors, covariance, k, before, count)
+        share, sure, sigma, aside = _shares(part, rest, (factors, covariance), k, before, count)
         signed = sure / sigma
         score: Floats = np.where((signed > level) & (sure > LEAST) & (sure < MOST) & ~aside, signed, 0.0)
         starts: list[int] = np.flatnonzero(score.any(axis=1)).tolist()

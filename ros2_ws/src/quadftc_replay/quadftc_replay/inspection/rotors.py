@@ -161,11 +161,13 @@ def _standing(flight: Flight) -> Iterator[Found]:
                 break
             speed, rest = float(speeds[run, rotor].mean()), float(others[run].mean())
             said = [f"it turns at {speed:.0f} rad/s while the others turn at {rest:.0f} rad/s"]
-            said.append(
-                "whether it was told to is not logged"
-                if asked is None
-                else f"as it slows down, it is asked for {100 * asked:.0f} % of what the others are asked for"
+            share = None if asked is None else f"{100 * asked:.0f} % of what the others are asked for"
+            told = (
+                f"as it slows down, it is asked for {share}"
+                if share
+                else "whether it was told to is not logged"
             )
+            said.append(told)
             probability = UNASKED if asked is None else (ASKED if is_asked else CERTAIN)
             yield make_found(
                 *("rotor", str(rotor + 1), "off", onset),

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from quadftc_replay.flight_log import FlightLog
+import numpy as np
+
+from quadftc_replay.flight_log import FlightLog, Signal, Watched
 from quadftc_replay.inspection.causes import reported_failure
+from quadftc_replay.inspection.ending import AT_LIMIT
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found
 from quadftc_replay.inspection.identification import Identified
-from quadftc_replay.inspection.limits import limit_moments
 from quadftc_replay.inspection.verdict import (
     VERSION,
     Ending,
@@ -23,10 +25,14 @@ from quadftc_replay.inspection.verdict import (
     join,
     show,
 )
+from quadftc_replay.inspection.whitening import runs_of
 
 REQUIRED = ("gyro", "accelerometer", "attitude", "rotor", "battery")  # what can bring a vehicle down
 SENTENCE_FINDINGS = 3  # findings that the sentence names
 BELOW = "below the level that was asked for"
+BEYOND = 0.5  # s; of a signal beyond its limit: manoeuvres take outputs to theirs for less
+PAUSE = 2.0  # s; shorter pauses do not end that
+LIMITS_SHOWN = 5  # of one signal
 PLAIN = ("in flight", "landed")  # endings that go without saying
 # how a format begins, or a vehicle of it: what to set so that all can be judged
 ADVICE = {
@@ -147,9 +153,8 @@ def _why_not(
     cut = f"the log is not whole ({log.incomplete})" if log.incomplete else ""
     lacking = _lacks(judged)
     reasons = join([f"{name} ({_reason(name, missing)})" for name in lacking])
-    open_ = join(
-        list(filter(None, [doubtful, said, cut, f"{reasons} could not be judged" if reasons else ""]))
-    )
+    left = f"{reasons} could not be judged" if reasons else ""
+    open_ = join([each for each in (doubtful, said, cut, left) if each])
     parts = [ended, f"not enough to say: {open_}" if open_ else "the cause is not known"]
     parts.append(f"no fault found in {join(list(judged))}" if judged else "")
     return "; ".join(filter(None, parts))
@@ -177,7 +182,7 @@ def _moments(
         finding = each.finding
         yield Moment(time_s=finding.onset_s, source="diagnose", text=f"it follows: {_describe(finding)}")
     yield Moment(time_s=ending.time_s, source="diagnose", text=ending.sentence)
-    yield from limit_moments(flight)
+    yield from _limit_moments(flight)
     for event in flight.log.events:
         yield Moment(time_s=event.time, source=event.source, text=event.text)
 
@@ -218,13 +223,47 @@ def _describe(finding: Finding) -> str:
         "unknown": f"{finding.name} is at fault",
     }[finding.kind]
     until = "" if finding.end_s is None else f" to {finding.end_s:.2f} s"
-    doubt = (
-        f" (or {join([each.replace('/', ' ') for each in finding.ambiguous_with], 'or')})"
-        if finding.ambiguous_with
-        else ""
-    )
+    others = join([each.replace("/", " ") for each in finding.ambiguous_with], "or")
+    doubt = f" (or {others})" if others else ""
     return f"{what} from {finding.onset_s:.2f} s{until}{doubt}"
 
 
 def _share(size: float | None) -> str:
     return "part" if size is None else f"{100.0 * size:.0f} %"
+
+
+def _limit_moments(flight: Flight) -> Iterator[Moment]:
+    """Say when a signal with a limit is beyond it in flight, and when a rotor has no more to give."""
+    for each in (*flight.log.watched, *_outputs(flight)):
+        time, value = each.signal.time, each.signal.value[:, 0]
+        beyond = (value < each.limit) if each.is_least else (value > each.limit)
+        beyond &= flight.in_flight(time)
+        shown = 0
+        for start, end, rows in _stretches(time, beyond):
+            is_long = end - start >= BEYOND or each.unit == "V" or each.limit == 0.0
+            if is_long and shown < LIMITS_SHOWN:
+                worst = float(value[rows].min() if each.is_least else value[rows].max())
+                bound = f"{'least' if each.is_least else 'limit'} {each.limit:.3g}"
+                lasted = f" for {end - start:.1f} s" if end > start else ""
+                text = f"{each.name}: {worst:.3g} {each.unit}".strip() + f", {bound}{lasted}"
+                yield Moment(time_s=start, source="log", text=text)
+                shown += 1
+
+
+def _outputs(flight: Flight) -> Iterator[Watched]:
+    """Commands of rotors, none of which may be at its limit for long."""
+    commands = flight.log.rotor_commands
+    for rotor in range(0 if commands is None else commands.value.shape[1]):
+        assert commands is not None
+        signal = Signal(commands.time, np.nan_to_num(commands.value[:, rotor : rotor + 1]))
+        yield Watched(f"rotor {rotor + 1} has no more to give, command", signal, AT_LIMIT)
+
+
+def _stretches(time: np.ndarray, beyond: np.ndarray) -> Iterator[tuple[float, float, slice]]:
+    """Begin [s], end [s] and rows of what is beyond, short pauses included."""
+    runs = runs_of(beyond)
+    while runs:
+        first = last = runs.pop(0)
+        while runs and time[runs[0].start] - time[last.stop - 1] < PAUSE:
+            last = runs.pop(0)
+        yield float(time[first.start]), float(time[last.stop - 1]), slice(first.start, last.stop)

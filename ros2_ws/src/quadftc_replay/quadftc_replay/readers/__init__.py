@@ -62,10 +62,11 @@ class Reader(NamedTuple):
     module: str
     cost: float  # processor time of 1 MB [s], measured on the costliest log at hand
     option: str = ""  # field of `LogChoice` that `read` takes
+    function: str = "read"
 
     def read(self, path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
         """Read a log."""
-        read: Callable[..., FlightLog] = import_module(f"{__name__}.{self.module}").read
+        read: Callable[..., FlightLog] = getattr(import_module(f"{__name__}.{self.module}"), self.function)
         return read(path, **({self.option: getattr(choice, self.option)} if self.option else {}))
 
 
@@ -75,7 +76,7 @@ READERS = (
     Reader("ROS 1 bag", begins(ROS1_MAGIC), "rosbag", 0.3),
     ULOG,
     Reader("ArduPilot BIN", begins(b"\xa3\x95"), "ardupilot", 0.1),
-    Reader("ArduPilot .log", is_dataflash_text, "ardupilot_text", 0.1),
+    Reader("ArduPilot .log", is_dataflash_text, "ardupilot", 0.1, function="read_text"),
     Reader("MAVLink tlog", is_mavlink, "telemetry", 0.1, "system"),
     Reader("blackbox", is_blackbox, "blackbox", 0.1, "log"),
     Reader("Crazyflie uSD", begins(b"\xbc\x01\x00", b"\xbc\x02\x00"), "crazyflie", 0.1),

@@ -267,10 +267,7 @@ def _add_events(signals: Signals, messages: Mapping[str, Table]) -> None:
             name = SUBSYSTEMS.get(int(part), f"subsystem {part:g}")
             said.append((int(stamp), "ERR", f"{name}: {'resolved' if code == 0 else f'error {code:g}'}"))
     if (table := messages.get("EV")) and {"TimeUS", "Id"} <= table.keys():
-        known = (
-            (stamp, EVENTS.get(int(number)))
-            for stamp, number in zip(stamps_of(table), table["Id"], strict=True)
-        )
+        known = zip(stamps_of(table), [EVENTS.get(int(number)) for number in table["Id"]], strict=True)
         said += [(int(stamp), "EV", name) for stamp, name in known if name]
     for stamp, source, text in sorted(said):
         signals.say(stamp, source, text)

@@ -64,33 +64,23 @@ def _part(*names: str) -> Choose:
     """Keep these fields; of a covariance its first element."""
 
     def choose(fields: Columns) -> Columns:
-        kept = {name: fields[name] for name in names}
-        return {
-            name: values[:, 0].copy() if "covariance" in name else values for name, values in kept.items()
-        }
+        kept = ((name, fields[name]) for name in names)
+        return {name: each[:, 0].copy() if "covariance" in name else each for name, each in kept}
 
     return choose
 
 
 CHOOSERS: Mapping[str, Choose] = {
     IMU: _part(
-        "orientation_xyzw",
-        "orientation_covariance",
-        "angular_velocity",
-        "angular_velocity_covariance",
-        "linear_acceleration",
-        "linear_acceleration_covariance",
+        *("orientation_xyzw", "orientation_covariance"),
+        *("angular_velocity", "angular_velocity_covariance"),
+        *("linear_acceleration", "linear_acceleration_covariance"),
     ),
     FIELD: _part("magnetic_field"),
     ODOMETRY: _part(
-        "frame_id",
-        "child_frame_id",
-        "pose.pose.position",
-        "pose.pose.orientation_xyzw",
-        "pose.covariance",
-        "twist.twist.linear",
-        "twist.twist.angular",
-        "twist.covariance",
+        *("frame_id", "child_frame_id"),
+        *("pose.pose.position", "pose.pose.orientation_xyzw", "pose.covariance"),
+        *("twist.twist.linear", "twist.twist.angular", "twist.covariance"),
     ),
     POSE: _part("pose.position", "pose.orientation_xyzw"),
     VECTOR: _part("vector"),

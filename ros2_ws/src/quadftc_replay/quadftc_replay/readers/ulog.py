@@ -259,18 +259,14 @@ def _watch(signals: Signals, log: Contents) -> None:
 def _add_events(signals: Signals, log: Contents) -> None:
     said = [(stamp, "message", text) for stamp, text in log.messages]
     if data := log.get(DETECTOR):
-        for name in data:
-            if name.startswith(("fd_", "motor_failure_mask")):
-                said += [
-                    (stamp, DETECTOR, f"{name} {value}") for stamp, value in _changes(data, name) if value
-                ]
+        for name in (each for each in data if each.startswith(("fd_", "motor_failure_mask"))):
+            said += [(stamp, DETECTOR, f"{name} {value}") for stamp, value in _changes(data, name) if value]
     if data := log.get(SELECTOR):
         name = "primary_instance"
         said += [(stamp, SELECTOR, f"{name} {value}") for stamp, value in _changes(data, name)]
     if data := log.get(ATTITUDE):
-        said += [
-            (stamp, ATTITUDE, "the estimator reset it") for stamp, _ in _changes(data, "quat_reset_counter")
-        ]
+        resets = _changes(data, "quat_reset_counter")
+        said += [(stamp, ATTITUDE, "the estimator reset it") for stamp, _ in resets]
     for stamp, source, text in sorted(said):
         signals.say(stamp, source, text)
 

@@ -44,13 +44,8 @@ from quadftc_replay.writers.sampling import (
 
 RATES = {
     "IMU": 25.0,
-    "ATT": 10.0,
-    "RATE": 10.0,
-    "RCOU": 10.0,
-    "GPS": 5.0,
-    "BARO": 5.0,
-    "BAT": 5.0,
-    "VIBE": 5.0,
+    **dict.fromkeys(("ATT", "RATE", "RCOU"), 10.0),
+    **dict.fromkeys(("GPS", "BARO", "BAT", "VIBE"), 5.0),
     "MAG": 10.0 / 3.0,
     "XKF1": 2.5,
     "ESC": 0.5,
@@ -164,13 +159,8 @@ def _add_rotors(writer: DataflashWriter, log: FlightLog) -> None:
         share = np.where(commands.value > 0.0, least + (most - least) * throttle, 0.0)
         low, high = DEFAULTS["MOT_PWM_MIN"], DEFAULTS["MOT_PWM_MAX"]
         pulses = low + (high - low) * share
-        _put(
-            writer,
-            "RCOU",
-            "H" * pulses.shape[1],
-            commands,
-            {f"C{k + 1}": pulse for k, pulse in enumerate(pulses.T)},
-        )
+        fields = {f"C{k + 1}": pulse for k, pulse in enumerate(pulses.T)}
+        _put(writer, "RCOU", "H" * len(fields), commands, fields)
     if log.rotor_speeds is not None:
         speeds = thin(log.rotor_speeds, RATES["ESC"])
         for number, speed in enumerate(speeds.value.T):
@@ -199,13 +189,8 @@ def _add_navigation(writer: DataflashWriter, log: FlightLog) -> None:
     for number, sensor in enumerate(log.magnetometers.values()):
         field = thin(sensor, RATES["MAG"])
         if log.field_unit == "mG":
-            _put(
-                writer,
-                "MAG",
-                "BhhhB",
-                field,
-                {"I": number, **_axes("Mag", flu_from_frd(field.value)), "Health": 1},
-            )
+            fields = {"I": number, **_axes("Mag", flu_from_frd(field.value)), "Health": 1}
+            _put(writer, "MAG", "BhhhB", field, fields)
     for number, sensor in enumerate(log.barometers.values()):
         height = thin(sensor, RATES["BARO"])
         _put(writer, "BARO", "BfB", height, {"I": number, "Alt": height.value[:, 0], "H": 1})

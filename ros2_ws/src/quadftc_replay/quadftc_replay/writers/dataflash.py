@@ -58,12 +58,10 @@ class DataflashWriter:
 
     def write(self, path: Path) -> None:
         """Write the log: its formats, then its messages by time; those of one time in the order of `add`."""
-        begin = [
-            HEAD
-            + bytes([FORMAT_TYPE])
-            + FORMAT.pack(kind, _length(letters), name.encode(), letters.encode(), fields.encode())
-            for name, (kind, letters, fields) in self._formats.items()
-        ]
+        begin: list[bytes] = []
+        for name, (kind, letters, fields) in self._formats.items():
+            texts = (each.encode() for each in (name, letters, fields))
+            begin.append(HEAD + bytes([FORMAT_TYPE]) + FORMAT.pack(kind, _length(letters), *texts))
         rows = (row for _, row in sorted(self._rows, key=lambda each: each[0]))
         path.write_bytes(b"".join([*begin, *rows]))
 
