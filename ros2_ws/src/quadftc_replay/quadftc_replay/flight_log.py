@@ -50,6 +50,12 @@ class Signal(NamedTuple):
         """One over the median time between two samples [Hz]; 0 for less than two."""
         return 1.0 / float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
 
+    def integral(self) -> Signal:
+        """Its integral since the first sample, straight between samples; what is not known counts as zero."""
+        means = 0.5 * (self.value[1:] + self.value[:-1]) * np.diff(self.time)[:, None]
+        total = np.concatenate([np.zeros((1, means.shape[1])), np.nancumsum(means, axis=0)])
+        return Signal(self.time, total)
+
     def at(self, time: Floats) -> Floats:
         """Values at other times (m, k), straight between samples; beyond them the nearest."""
         width = self.value.shape[1]

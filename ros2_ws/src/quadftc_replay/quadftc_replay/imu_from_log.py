@@ -21,7 +21,6 @@ from quadftc_replay.imu_recording import (
     Stamps,
     carried_attitudes,
     clean_samples,
-    latest_rows,
     torque_before,
 )
 from quadftc_replay.readers import ONLY_ONE, LogChoice
@@ -47,7 +46,7 @@ def recording_of(log: FlightLog, topic: str = "") -> Recording:
     q_xyzw, attitude_valid = carried_attitudes(stamp_ns, rate, _stamps(log, log.attitude), log.attitude.value)
     force, force_valid = np.zeros_like(rate), np.zeros(len(rate), np.bool_)
     if (sensor := log.accelerometers.get(topic)) is not None:
-        last = latest_rows(stamp_ns, _stamps(log, sensor))
+        last = np.searchsorted(_stamps(log, sensor), stamp_ns, side="right") - 1
         force_valid = last >= 0
         force = np.where(force_valid[:, None], sensor.value[last], 0.0)
     torque, commands = np.zeros_like(rate), log.torque_command

@@ -178,11 +178,6 @@ def nearest_rows(stamp_ns: Stamps, others_ns: Stamps) -> NDArray[np.intp]:
     return rows
 
 
-def latest_rows(stamp_ns: Stamps, others_ns: Stamps) -> NDArray[np.intp]:
-    """For each stamp, the row of the latest other one that is not after it; -1: none."""
-    return np.searchsorted(others_ns, stamp_ns, side="right") - 1
-
-
 def torque_before(stamp_ns: Stamps, command_ns: Stamps, command: Floats) -> Floats:
     """Torque that acted before each sample (n, 3): the last finite command with an earlier stamp, else zero.
 

@@ -114,13 +114,6 @@ class Replay:
         }
         return {"name": self.name, **result, **without, "metrics": metrics, **judged}
 
-    def refuse_wrong_checks(self) -> None:
-        """Raise a ValueError if a check is on a metric that this replay does not have."""
-        known = replay_metrics(flight_of_nothing(), self.origin.fault_windows, self.origin.fault_events)
-        for check in self.checks:
-            if (problem := problem_of(check, known)) is not None:
-                raise ValueError(f"check: {problem[1]}")
-
     def parameter_file(self) -> str:
         """Write the parameters of the nodes that would do the same in the graph, as YAML for ROS."""
         faults = {"faults": self.origin.faults} if self.faults else {}
@@ -153,7 +146,10 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
         checks=options.checks,
         engine=options.engine,
     )
-    plan.refuse_wrong_checks()
+    known = replay_metrics(flight_of_nothing(), plan.origin.fault_windows, plan.origin.fault_events)
+    for check in options.checks:
+        if (problem := problem_of(check, known)) is not None:
+            raise ValueError(f"check: {problem[1]}")
     return plan
 
 

@@ -21,7 +21,7 @@ from recorded_logs import DATA, needs_data
 def held(log: FlightLog) -> set[str]:
     """Names of the signals that a log has."""
     names = {name for name in NAMED if getattr(log, name)}
-    others = "attitude angles body_rate position velocity acceleration rotor_speeds "
+    others = "attitude body_rate position velocity acceleration rotor_speeds "
     others += "rotor_commands torque_command thrust_command battery"
     return names | {name for name in others.split() if getattr(log, name) is not None}
 
@@ -34,7 +34,7 @@ def held(log: FlightLog) -> set[str]:
         ("crazyflie/crazyswarm2/log08", "gyros attitude position velocity torque_command thrust_command"),
         (
             "crazyflie/crazypad/motor_data-normal_flight-E9_log00",
-            "angles position velocity acceleration rotor_commands battery",
+            "position velocity acceleration rotor_commands battery",
         ),
         ("crazyflie/crazypad/controller_data-normal_flight-E8_log00", "gyros position rotor_commands"),
         (

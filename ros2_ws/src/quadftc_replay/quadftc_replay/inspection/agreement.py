@@ -50,9 +50,8 @@ def compare(attitude: Signal, gyro: Signal) -> Agreement | None:
     if len(time) < 50 or len(gyro_time) < 50:
         return None
     steps = np.diff(gyro_time)
-    mean = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
-    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(mean, axis=0)])
-    at, rate = (Signal(gyro_time, each).at(time) for each in (angle, rates))
+    turning = Signal(gyro_time, rates)
+    at, rate = turning.integral().at(time), turning.at(time)
     dt, theta, turn = np.diff(time), np.diff(at, axis=0), _turns(q)
     usual = float(np.median(dt))
     jumps = np.concatenate([[0.0], (steps > max(5.0 * float(np.median(steps)), 0.05)) * 1.0]).cumsum()

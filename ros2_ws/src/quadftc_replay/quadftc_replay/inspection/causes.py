@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from quadftc_replay.flight_log import Event
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found
@@ -114,7 +116,7 @@ def _follows(finding: Finding, cause: Finding) -> bool:
         return False
     if finding.component == cause.component and abs(finding.onset_s - cause.onset_s) < AT_ONCE:
         return False  # several elements of one sensor
-    ends = float("inf") if cause.end_s is None else cause.end_s + RECOVERED
+    ends = np.inf if cause.end_s is None else cause.end_s + RECOVERED
     within = cause.onset_s - SLACK < finding.onset_s < ends
     return within and finding.component.split()[0] in FOLLOWS.get(cause.component.split()[0], ())
 
@@ -130,7 +132,8 @@ def _without_doubles(found: Sequence[Found]) -> list[Found]:
 
 def _repeats(finding: Finding, known: Finding) -> bool:
     """Whether a finding says again what another says, of the same element or of a sensor known to be dead."""
-    if not _overlap(finding, known):
+    end, ends = (np.inf if each.end_s is None else each.end_s for each in (known, finding))
+    if known.onset_s - 1.0 > ends or finding.onset_s > end + 1.0:
         return False
     if f"{known.component}/{known.element}" in finding.ambiguous_with:
         return True
@@ -140,9 +143,3 @@ def _repeats(finding: Finding, known: Finding) -> bool:
         return known.element == finding.element
     is_dead = known.kind in ("stuck", "saturation", "absent", "noise")
     return is_dead and finding.kind in ("offset", "drift", "noise", "unknown", "absent")
-
-
-def _overlap(finding: Finding, known: Finding) -> bool:
-    end = float("inf") if known.end_s is None else known.end_s
-    ends = float("inf") if finding.end_s is None else finding.end_s
-    return known.onset_s - 1.0 <= ends and finding.onset_s <= end + 1.0

@@ -112,14 +112,12 @@ def compass_findings(
     flight: Flight, agreement: Agreement | None, fields: Mapping[str, Field]
 ) -> Iterator[Found]:
     """Name magnetometers that part from the attitude."""
-    jumps = {name: _jumps(flight, each) for name, each in fields.items()}
+    jumps: dict[str, list[Step]] = {}
+    for name, each in fields.items():
+        smallest = np.full(len(each.rest), SMALLEST * each.size)
+        jumps[name] = find_jumps(each.rest, flight.is_calm(each.rest.time), smallest)[0]
     for name in jumps:
         yield from _findings(flight, agreement, fields, jumps, name)
-
-
-def _jumps(flight: Flight, field: Field) -> list[Step]:
-    time = field.rest.time
-    return find_jumps(field.rest, flight.is_calm(time), np.full(len(time), SMALLEST * field.size))[0]
 
 
 def _findings(

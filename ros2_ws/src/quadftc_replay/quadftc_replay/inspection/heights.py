@@ -136,9 +136,7 @@ def _receivers(flight: Flight) -> dict[str, Signal]:
 def _less_integral(position: Signal, velocity: Signal) -> Signal:
     """Positions (n, k) less the integral of a velocity; NaN beyond it, and within its pauses."""
     steps = np.diff(velocity.time)
-    means = 0.5 * (velocity.value[1:] + velocity.value[:-1]) * steps[:, None]
-    total = np.concatenate([np.zeros((1, means.shape[1])), np.nancumsum(means, axis=0)])
-    integral = Signal(velocity.time, total).at(position.time)
+    integral = velocity.integral().at(position.time)
     dark = (position.time < velocity.time[0]) | (position.time > velocity.time[-1])
     for row in np.flatnonzero(steps > PAUSE).tolist():
         dark |= (position.time > velocity.time[row]) & (position.time < velocity.time[row + 1])

@@ -80,8 +80,8 @@ def path_of(
     if len(time) < LEAST:
         return None
     q = attitude_at(attitude, force.time)
-    total = _integral(force.time, to_earth(q, np.nan_to_num(force.value)) - [0.0, 0.0, STANDARD_GRAVITY])
-    gained = _change(time, Signal(force.time, total), window)
+    earth = to_earth(q, np.nan_to_num(force.value)) - [0.0, 0.0, STANDARD_GRAVITY]
+    gained = _change(time, Signal(force.time, earth).integral(), window)
     middle = attitude_at(attitude, time)
     rests = [
         to_body(middle, (gained - _change(time + delay, velocity, window)) / window)
@@ -104,19 +104,13 @@ def path_of(
 
 
 def known_path(log: FlightLog, force: Signal | None) -> Path | None:
-    """Compare the path of an accelerometer with the best velocity that is known."""
-    velocity = _known_velocity(log, force)
+    """Compare the path of an accelerometer with that of satellites, else the estimated one, else a bound."""
     if log.gps_velocity is not None:
-        return path_of(log.attitude, force, velocity)
+        return path_of(log.attitude, force, log.gps_velocity)
     if log.velocity is not None:
-        return path_of(log.attitude, force, velocity, LONG_WINDOW)
-    return path_of(log.attitude, force, velocity, 2.0 * LONG_WINDOW, 0.5 * GAIN / LONG_WINDOW)
-
-
-def _known_velocity(log: FlightLog, force: Signal | None) -> Signal | None:
-    """Velocity by satellites, else the estimated one, else none at all."""
+        return path_of(log.attitude, force, log.velocity, LONG_WINDOW)
     still = None if force is None else Signal(force.time, np.zeros_like(force.value))
-    return log.gps_velocity or log.velocity or still
+    return path_of(log.attitude, force, still, 2.0 * LONG_WINDOW, 0.5 * GAIN / LONG_WINDOW)
 
 
 def attitude_at(attitude: Signal, time: Floats) -> Floats:
@@ -126,11 +120,6 @@ def attitude_at(attitude: Signal, time: Floats) -> Floats:
     q[1:] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
     found = Signal(attitude.time, q).at(time)
     return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9)
-
-
-def _integral(time: Floats, values: Floats) -> Floats:
-    means = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
-    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(means, axis=0)])
 
 
 def _change(time: Floats, signal: Signal, window: float) -> Floats:
