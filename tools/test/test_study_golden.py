@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadftc_cli.commands import BAD_INPUT
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.samples import (
     FAULT_KINDS,
@@ -17,6 +18,7 @@ from quadftc_model.samples import (
     level_sample,
 )
 from quadftc_model.vehicle import load_vehicle
+from quadftc_tools.study import golden
 from quadftc_tools.study.golden_alarms import (
     Alarm,
     Event,
@@ -27,7 +29,7 @@ from quadftc_tools.study.golden_alarms import (
     read_verdicts,
     write_verdicts,
 )
-from quadftc_tools.study.golden_trials import recorded_trials
+from quadftc_tools.study.golden_trials import flights_of, recorded_trials, simulated_trials
 
 ROLL = Alarm("attitude/roll", "FAULTY", 1.0, 0.9, 2.0, 0.99, 0.1, "offset")
 GYRO = Alarm("gyro/x", "AMBIGUOUS", 1.5, 1.4, 3.0, 0.5, 0.2, "offset")
@@ -130,3 +132,19 @@ def test_file_that_holds_no_verdicts_is_refused_by_its_name(tmp_path, text):
 def test_recording_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ValueError, match="10_slow_translation_a: not there"):
         list(recorded_trials(tmp_path))
+
+
+def test_flights_of_a_seed_are_those_of_the_set_with_that_seed():
+    stored = {trial.name: trial for trial in simulated_trials()}
+    (other,) = flights_of("two_faults", 61, 1)
+    assert other.part == "other"
+    assert other.judge("isolating") == stored[other.name].judge("isolating")
+
+
+@pytest.mark.parametrize(
+    "given", [("nothing", "1", "1"), ("two_faults", "x", "1"), ("two_faults", "1", "-1")]
+)
+def test_flights_that_there_are_not_are_refused(given, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["golden", "--observer", "bank", "--campaign", *given])
+    assert golden.main() == BAD_INPUT
+    assert "--campaign: " in capsys.readouterr().err

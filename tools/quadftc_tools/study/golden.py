@@ -1,10 +1,12 @@
 """What a fault observer says on all recordings and flights that it is judged on, beside what is stored.
 
     python -m quadftc_tools.study.golden DIR --observer NAME [--set tuning|judging] [--write]
+    python -m quadftc_tools.study.golden --observer NAME --campaign which_sensor 421 160
 
 DIR holds the recordings, in ``broad/`` and ``crazyflie/``; without it there are the simulated flights alone.
 Printed are a table of counts and each difference to ``tests/golden/observers/NAME.json``, which ``--write``
-writes anew. The exit code is 1 if there is a difference. docs/judging.md says how to use it.
+writes anew. The exit code is 1 if there is a difference. ``--campaign`` flies other flights: of a campaign of
+both sets, with a seed and a count. docs/judging.md says how to use it.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from quadftc_tools.study.golden_alarms import (
     read_verdicts,
     write_verdicts,
 )
-from quadftc_tools.study.golden_trials import SETS, Trial, trials
+from quadftc_tools.study.golden_trials import FLIGHTS, SETS, Trial, flights_of, trials
 
 STORED = Path(__file__).resolve().parents[3] / "tests" / "golden" / "observers"
 
@@ -56,12 +58,25 @@ def main() -> int:
     parser.add_argument("--observer", required=True, help="name of a fault observer")
     parser.add_argument("--set", choices=SETS, dest="part", help="this half alone")
     parser.add_argument("--write", action="store_true", help="store the verdicts")
+    parser.add_argument("--campaign", nargs=3, metavar=("NAME", "SEED", "COUNT"), help="other flights alone")
     options = parser.parse_args()
     try:
+        if options.campaign:
+            return _fly(options.observer, *options.campaign)
         return _run(options.directory, options.observer, options.part, options.write)
     except (ValueError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return BAD_INPUT
+
+
+def _fly(observer: str, name: str, seed: str, count: str) -> int:
+    fault_observers.get(observer)
+    if name not in FLIGHTS:
+        raise ValueError(f"--campaign: no campaign '{name}'; known: {', '.join(FLIGHTS)}")
+    if not seed.isdecimal() or not count.isdecimal():
+        raise ValueError(f"--campaign: SEED and COUNT are '{seed}' and '{count}'; expected whole numbers")
+    say(f"{observer}\n\n{table(judge(flights_of(name, int(seed), int(count)), observer))}")
+    return GOOD
 
 
 def _run(directory: Path | None, observer: str, part: str | None, write: bool) -> int:

@@ -98,15 +98,21 @@ def recorded_trials(directory: Path) -> Iterator[Trial]:
 
 
 def simulated_trials() -> Iterator[Trial]:
-    """All simulated flights."""
+    """All simulated flights of both sets."""
     loops = _Loops()
     for part, more in zip(SETS, (0, NEW_SEED), strict=True):
         for name, count in FLIGHTS.items():
-            path = CAMPAIGNS / f"{name}.yaml"
-            campaign = load_campaign(path, seed=load_campaign(path).seed + more, engine="c")
-            for number in range(count):
-                judge = functools.partial(loops.judge, campaign, number)
-                yield Trial(f"{name} {campaign.seed}/{number}", name, part, judge)
+            seed = load_campaign(CAMPAIGNS / f"{name}.yaml").seed + more
+            yield from flights_of(name, seed, count, part, loops)
+
+
+def flights_of(
+    name: str, seed: int, count: int, part: str = "other", loops: _Loops | None = None
+) -> Iterator[Trial]:
+    """Flights of a campaign with a seed."""
+    loops, campaign = loops or _Loops(), load_campaign(CAMPAIGNS / f"{name}.yaml", seed=seed, engine="c")
+    for number in range(count):
+        yield Trial(f"{name} {seed}/{number}", name, part, functools.partial(loops.judge, campaign, number))
 
 
 def _judge_bag(path: Path, observer: str) -> Verdict:

@@ -13,7 +13,7 @@ DT, ONSET, ROWS, SLOT = 0.01, 30, 90, 0  # s; the slot that the first onset take
 NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.03)))
 WALK, AXIS = 0.02, 0  # rad/s/sqrt(s)
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
-THERE = np.ones(3, bool)
+THERE, BOTH_WELL = np.ones(3, bool), np.zeros(2, bool)
 
 
 def readings(kind, size, slope, repeats_gyro):
@@ -116,7 +116,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
     monkeypatch.setattr(motion, "JITTER", 0.0)
     known, gyro, angle = readings(kind, size, slope, repeats_gyro)
     state, bank = fly_bank(known, gyro, angle, repeats_gyro)
-    believed = inference.believe(bank._replace(temper=np.ones_like(bank.temper)), np.ones(3, np.bool_))
+    believed = inference.believe(bank._replace(temper=np.ones_like(bank.temper)), THERE, BOTH_WELL)
     start = motion.start_motion(LEVEL, np.zeros(3), NOISE).covariance[AXIS, :4, :4]
     mode = 3 * kind + AXIS
     knows, healthy = SecondFilter(start, kind), SecondFilter(start, None)
@@ -180,7 +180,7 @@ def test_a_torque_may_have_changed_at_any_time_between_two_samples():
 
 def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    believed = inference.believe(inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0), np.ones(3, np.bool_))
+    believed = inference.believe(inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0), THERE, BOTH_WELL)
     for row, kind in enumerate(modes.KINDS):
         for axis in range(3):
             mode = 3 * row + axis
@@ -233,3 +233,15 @@ def test_a_gyro_without_its_attitude_needs_new_evidence_and_nobody_else_does():
     again = (modes.KIND == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
     for part in (after.J, after.d):
         np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))
+
+
+@pytest.mark.parametrize("sensor", [0, 1])
+def test_the_other_axes_of_a_failing_sensor_are_likelier_to_fail(sensor):
+    bank = inference.open_slots(inference.start_bank(np.zeros(3)), np.zeros(sum(SLOTS)), 1.0)
+    well, ill = (inference.believe(bank, THERE, np.arange(2) == failing) for failing in (2, sensor))
+    more = ill.log_weight - well.log_weight
+    own = np.isin(modes.CHANGED, ([modes.GYRO], [modes.ATTITUDE])[sensor]) & modes.IS_FAULT
+    began = well.log_weight > inference.LOWEST
+    assert began.any(axis=-1).all()
+    assert np.allclose(more[own[:, None] & began], np.log(modes.EVENTS / modes.FAULTS))
+    assert not more[~own[:, None] & began].any()

@@ -172,6 +172,26 @@ def test_a_fault_that_ends_is_over_within_a_second(sensor, size):
     assert not named[ends + round(1.0 / DT) :].any()
 
 
+def test_a_drift_of_a_sensor_that_has_jumped_is_not_the_other_sensors():
+    """Roll jumps and yaw drifts with it: too slowly to say whose that is, had roll not jumped."""
+    fault = DEG * (ON[:, None] * np.array([5.0, 0.0, 0.0]) + ELAPSED * np.array([0.0, 0.0, 0.5]))
+    named, ambiguous = alarms(said_of(with_fault("attitude", fault)))
+    assert named == {("attitude", 0), ("attitude", 2)}
+    assert ("gyro", 2) not in ambiguous
+
+
+def test_one_of_the_two_sensors_of_an_axis_is_always_believed():
+    """Faults of both, one after the other: by torque alone nobody could fly."""
+    wild = np.sin(2.0 * np.pi * 2.5 * ELAPSED) * np.array([1.0, 0.0, 0.0])
+    flight = with_fault("gyro", wild)
+    jumped = (20.0 * DEG) * (TIME >= ONSET + 1.0)[:, None] * np.array([1.0, 0.0, 0.0])
+    angles = euler_from_quaternion(flight.imu.q_xyzw) + jumped
+    said = said_of(with_imu(flight, q_xyzw=quaternion_from_euler(angles)))
+    faulty = np.stack([said[name].state[:, 0] == FAULTY for name in SENSORS])
+    assert faulty.any(axis=1).all()
+    assert not faulty.all(axis=0).any()
+
+
 def test_a_torque_that_is_not_the_vehicles_accuses_no_attitude():
     flight = hovering()
     said = said_of(flight._replace(torque=hovering(4).torque + 0.02))

@@ -24,12 +24,16 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.bank.modes import (
+    ATTITUDE,
     AXIS,
+    CHANGED,
     CHANGES,
     EFFECT,
     EFFECTS,
     GYRO,
+    IS_FAULT,
     KIND,
+    MORE,
     PRIOR,
     PUSH,
     RATE,
@@ -41,6 +45,7 @@ from quadftc_fdi.bank.noise import MEMORY, SMALL
 from quadftc_fdi.bank.noise import PRIOR as LEARNING
 from quadftc_model.arrays import (
     Array,
+    Flag,
     Mask,
     Scalar,
     Vector,
@@ -184,17 +189,19 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
     )
 
 
-def believe(state: Bank, witnessed: Mask) -> Posterior:
+def believe(state: Bank, witnessed: Mask, failing: Flag) -> Posterior:
     """Return the posterior of size and slope, and the weight of mode and onset.
 
     A wild gyro is a hypothesis where attitude and torque are ``witnessed`` (..., 3): by one of them alone it
-    cannot be told from motion, or from an attitude that jumps.
+    cannot be told from motion, or from an attitude that jumps. Where a sensor is ``failing`` (..., 2), gyro
+    or attitude, a fault of its other axes is no rarer than what is none.
     """
     share = 1.0 / state.temper.max(axis=-1)[..., AXIS[:EFFECTS]]  # (..., 2, effects); alike for all onsets
     J, d = ((part * share[..., None, :, None]).sum(axis=-4)[..., EFFECT, :] for part in (state.J, state.d))
     evidence, b, covariance = _solved(J, d, PRIOR)
     began = (state.age[..., EFFECT, :] >= 0.0) & (witnessed[..., AXIS] | (KIND != WILD))[..., None]
-    return Posterior(where(began, evidence + USUAL, LOWEST), b, covariance)
+    likelier = where(failing[..., 1 * (CHANGED == ATTITUDE)] & IS_FAULT, MORE, 0.0)
+    return Posterior(where(began, evidence + USUAL + likelier[..., None], LOWEST), b, covariance)
 
 
 def by_effect(of_modes: Array) -> Array:

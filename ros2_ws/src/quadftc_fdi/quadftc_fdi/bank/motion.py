@@ -89,11 +89,11 @@ def start_motion(q_xyzw: Quaternion, gyro: Vector, noise: Noise) -> Motion:
     return Motion(q_xyzw, zeros, gyro, zeros, xp.zeros((*gyro.shape, 3)), zeros, silent, P)
 
 
-def unsettled(state: Motion, variance: Vector) -> Motion:
-    """Let the unknown acceleration have a variance [rad²/s⁴], at least."""
+def unsettled(state: Motion, which: int, variance: Vector) -> Motion:
+    """Let one of the eight states have a variance (..., 3), at least."""
     P = state.covariance
-    more = larger(variance - P[..., D, D], 0.0)
-    return state._replace(covariance=P + more[..., None, None] * np.diag(np.eye(STATES)[D]))
+    more = larger(variance - P[..., which, which], 0.0)
+    return state._replace(covariance=P + more[..., None, None] * np.diag(np.eye(STATES)[which]))
 
 
 def predict(

@@ -55,6 +55,11 @@ def full_trust(like: Vector) -> Trust:
     return Trust(zeros > 0.0, zeros, zeros, zeros, zeros, zeros)
 
 
+def acquitted(state: Trust, axes: Mask) -> Trust:
+    """Believe axes again."""
+    return _kept(state.faulty & ~axes, *state[1:])
+
+
 def take_over(
     motion: Motion, bank: Bank, posterior: Posterior, mode: Array, added: Array, alone: Mask
 ) -> tuple[Motion, Bank, Scalar]:

@@ -137,10 +137,12 @@ class BankObserver(FlightLaw):
         good = good_gyro, good_attitude
         bank, moved, by_attitude, off, added = self._measure(state, imu, moved, levels, good, dt)
         # believe
-        posterior = inference.believe(bank, good_attitude & column(inputs.driven))
+        failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude)])
+        witnesses = good_attitude, good_gyro & ~state.gyro.faulty, column(inputs.driven)
+        posterior = inference.believe(bank, good_attitude & column(inputs.driven), failing)
         shares, p, doubt = _probabilities(posterior.log_weight)
         aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
-        named = self._named(p, doubt, good_attitude, good_gyro & ~state.gyro.faulty, aged)
+        named = self._named(p, doubt, aged, *witnesses)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
@@ -148,10 +150,14 @@ class BankObserver(FlightLaw):
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
         attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), _of_gyro(1.0 * named) > 0.0
+        # one witness of each axis stays: who names the last takes the other name back
+        cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
+        by_both = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
+        believed = motion.unsettled(believed, motion.THETA, where(cleared[0], off * off, 0.0))
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
-        attitude = trust.watch_attitude(state.attitude, attitude, age, off, spread, white, there, dt)
+        attitude = trust.watch_attitude(by_both[0], attitude, age, off, spread, white, there, dt)
         before, louder = state.motion.bias, noise.louder(state.learning)
-        gyro = trust.watch_gyro(state.gyro, gyro, age, believed, before, louder, dt)
+        gyro = trust.watch_gyro(by_both[1], gyro, age, believed, before, louder, dt)
         # learn
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
         moves = read, state.rate, known, imu.q_xyzw, state.q_xyzw
@@ -252,20 +258,23 @@ class BankObserver(FlightLaw):
         mean = 0.5 * (read + state.rate)
         repeats = self.attitude_from_gyro
         moves = known + usual, between, inputs.driven, mean, walk, levels, repeats
-        return motion.predict(motion.unsettled(state.motion, turning), *moves, dt), known, torque
+        return motion.predict(motion.unsettled(state.motion, motion.D, turning), *moves, dt), known, torque
 
-    def _named(self, p: Array, doubt: Array, good_attitude: Mask, good_gyro: Mask, aged: Array) -> Array:
+    def _named(
+        self, p: Array, doubt: Array, aged: Array, good_attitude: Mask, good_gyro: Mask, driven: Flag
+    ) -> Array:
         """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
 
-        Twice the certainty is needed of a gyro without a ``good_attitude``, the last witness of its axis. It
-        is needed of a jump of the attitude, too, which must have stayed, and thrice of a push: both hide what
-        began with them. A wild gyro must be so for as long as it takes to hear vibration.
+        Twice the certainty is needed where only one witness is left: the other sensor without a torque, or
+        the torque without the other sensor. It is needed of a jump of the attitude, too, which must have
+        stayed, and thrice of a push: both hide what began with them. A wild gyro must be so for as long as it
+        takes to hear vibration.
         """
         few, kind = 1.0 - self.level, modes.KIND
         last = (modes.CHANGED == modes.GYRO) & ~good_attitude[..., modes.AXIS]
-        last = last | ((kind == modes.ATTITUDE) & ~good_gyro[..., modes.AXIS]) | (kind == modes.WILD)
+        last = last | ((kind == modes.ATTITUDE) & ~good_gyro[..., modes.AXIS]) | ~driven
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
-        least = where(last | stays, few * few, where(modes.IS_FAULT, few, few**3))
+        least = where(last | stays | (kind == modes.WILD), few * few, where(modes.IS_FAULT, few, few**3))
         takes = (kind != modes.ATTITUDE) | (not self.attitude_from_gyro)  # a jump is its estimator's
         sure = doubt < least * takes
         heard = (kind != modes.WILD) | (aged > noise.LONG * p)
