@@ -7,7 +7,6 @@ Then another gyro, or an attitude that is not made of this gyro, shows it as wel
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,35 +31,28 @@ MANY = 8  # steps of one axis that are noise, not offsets
 TOGETHER = 0.012  # s; steps of several axes within it have one cause
 
 
-class Witness(NamedTuple):
-    """What an attitude says of the main gyro."""
-
-    agreement: Agreement
-    creeps: Sequence[Creep]
-    is_independent: bool  # the attitude is not computed from the gyro
-
-    def confirms(self, step: Step) -> bool:
-        """Whether an independent attitude does not turn as the gyro says from a step on."""
-        return self.is_independent and parts_by(self.agreement, step.axis, step.onset, step.size)
-
-
 def gyro_findings(
-    flight: Flight, gyros: Mapping[str, Signal], witness: Witness | None
+    flight: Flight,
+    gyros: Mapping[str, Signal],
+    agreement: Agreement | None,
+    creeps: list[Creep],
+    is_own: bool,
 ) -> tuple[list[Found], list[Creep]]:
-    """Test all gyros (name: samples), the main one first.
+    """Test all gyros (name: samples), the main one first; of that one the attitude tells, too.
 
-    Returns the findings, and the creeps of the witness that none of them explains.
+    ``is_own``: the attitude is computed from the gyro. Returns findings, and the creeps that none explains.
     """
     found: list[Found] = []
-    left = list(witness.creeps) if witness is not None else []
+    left = creeps
     for number, (name, sensor) in enumerate(gyros.items()):
         others = [gyros[other] for other in gyros if other != name]
         steps = steps_of(flight, sensor, LIMITS["gyro"])
         own = [step for step in steps if not any(shows(other, step) for other in others)]
-        ask = witness if number == 0 else None
+        ask = agreement if number == 0 else None
         # where nobody knows what moves the vehicle, a step needs a witness
-        trusted = (flight.phases_known and (ask is None or not ask.is_independent)) or bool(others)
-        sure = [step for step in own if trusted or (ask is not None and ask.confirms(step))]
+        trusted = (flight.phases_known and (ask is None or is_own)) or bool(others)
+        witness = None if is_own else ask
+        sure = [step for step in own if trusted or (witness is not None and _confirms(witness, step))]
         joined = join_ends([step for step in sure if not step.is_pulse])
         if ask is not None:
             left = [creep for creep in left if not any(_explains(each, creep) for each in joined)]
@@ -69,6 +61,11 @@ def gyro_findings(
             found += _pulse_findings(name, [step for step in own if step.is_pulse])
         found += _rest_findings(flight, name, sensor)
     return found, left
+
+
+def _confirms(witness: Agreement, step: Step) -> bool:
+    """Whether an independent attitude does not turn as the gyro says from a step on."""
+    return parts_by(witness, step.axis, step.onset, step.size)
 
 
 def _explains(step: Step, creep: Creep) -> bool:

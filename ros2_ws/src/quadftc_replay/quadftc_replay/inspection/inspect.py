@@ -16,7 +16,7 @@ from quadftc_replay.inspection.ending import ending_of
 from quadftc_replay.inspection.flight import Flight, prepare
 from quadftc_replay.inspection.flown_by import flown_findings
 from quadftc_replay.inspection.found import BODY_AXES, Found, component_name
-from quadftc_replay.inspection.gyro import Witness, gyro_findings
+from quadftc_replay.inspection.gyro import gyro_findings
 from quadftc_replay.inspection.navigation import navigation_findings
 from quadftc_replay.inspection.own_attitude import OwnEstimate, estimate, offset_finding, owner_of
 from quadftc_replay.inspection.pairs import owner_by_other
@@ -151,8 +151,7 @@ def _sensors(
         for each in paths
         if each.finding.onset_s < begun - PATH_SEES and not (path and is_tilt(each.finding, path, jumps))
     ]
-    witness = Witness(agreement, creeps, not is_own) if agreement is not None else None
-    own, left = gyro_findings(flight, gyros, witness)
+    own, left = gyro_findings(flight, gyros, agreement, creeps, is_own)
     inspection.found += own
     gravity = _by_gravity(log, gyros)
     for name, sensor in gyros.items():

@@ -211,19 +211,14 @@ def _model(torque: Torque, end: float, step: RotorStep | None = None) -> tuple[F
     return fit(torque._replace(flying=before), moved)
 
 
-class Shares(NamedTuple):
-    """What share of each rotor's thrust a step of r is, at each moment."""
-
-    share: Floats  # (m, rotors)
-    sure: Floats  # (m, rotors), by the least favourable model
-    sigma: Floats  # (m, rotors)
-    aside: Mask  # (m, rotors) the step points elsewhere
-
-
 def _shares(
     part: Torque, rest: Floats, model: tuple[Floats, Floats], k: NDArray[np.int_], before: int, count: int
-) -> Shares:
-    """Compare the steps at rows ``k``, over ``count`` samples less ``before``, with those of each rotor."""
+) -> tuple[Floats, Floats, Floats, Mask]:
+    """Compare the steps at rows ``k``, over ``count`` samples less ``before``, with those of each rotor.
+
+    Returns, each (m, rotors), the share of its thrust, the same by the least favourable model, its standard
+    deviation, and whether the step points elsewhere.
+    """
     factors, covariance = model
     others_only = covariance.copy()
     others_only[:, SIGNED, :] = others_only[:, :, SIGNED] = 0.0
@@ -236,7 +231,7 @@ def _shares(
     share, sure = (np.einsum("mra,ma->mr", effect, each / variance) / power for each in (step, least))
     aside = np.linalg.norm(least[:, None] - sure[..., None] * effect, axis=2)
     far = aside >= ASIDE * np.linalg.norm(least, axis=1)[:, None]
-    return Shares(share, sure, 1.0 / np.sqrt(power), far)
+    return share, sure, 1.0 / np.sqrt(power), far
 
 
 def search(torque: Torque, factors: Floats, covariance: Floats, level: float = LEVEL) -> RotorStep | None:

@@ -86,8 +86,9 @@ def read(path: Path, system: int = 0) -> FlightLog:
     _add_imus(signals, messages)
     _add_navigation(signals, messages)
     _add_states(signals, messages)
-    for stamp, text in _texts(messages):
-        signals.say(stamp, "STATUSTEXT", text)
+    if table := messages.get("STATUSTEXT"):
+        for stamp, text in zip(stamps_of(table).tolist(), table["text"].tolist(), strict=True):
+            signals.say(stamp, "STATUSTEXT", text_of(text))
     layout = add_rotors(signals, _tables(messages), sound(_parameters(messages)))
     return signals.flight_log(layout, is_own=True)
 
@@ -203,13 +204,6 @@ def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
         voltage[voltage == NO_VOLTAGE] = np.nan
         if np.nanmax(voltage, initial=0.0) > 0.0:
             signals.add("battery", stamps_of(table), MILLI * voltage, "SYS_STATUS")
-
-
-def _texts(messages: Mapping[str, Table]) -> list[tuple[int, str]]:
-    table = messages.get("STATUSTEXT")
-    if table is None:
-        return []
-    return list(zip(stamps_of(table).tolist(), map(text_of, table["text"].tolist()), strict=True))
 
 
 def _parameters(messages: Mapping[str, Table]) -> dict[str, float]:

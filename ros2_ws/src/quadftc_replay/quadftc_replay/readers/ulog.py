@@ -32,7 +32,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -193,7 +193,8 @@ def _add_main(signals: Signals, log: Contents, field: str, topics: Mapping[str, 
 def _add_others(signals: Signals, log: Contents, field: str, topics: Mapping[str, tuple[str, str]]) -> None:
     """Add the other sensors of a kind, each from the topic that has most samples of it."""
     key = "gyro_device_id" if field == "gyros" else "accel_device_id"
-    main = _main_device(log, key)
+    selection = log.get(SELECTION)  # which device flew the vehicle at the end
+    main = int(selection[key][-1]) if selection and key in selection else None
     slow: list[str] = []
     for instance in sorted({number for topic in topics for number in log.instances(topic)}):
         there = [topic for topic in topics if (topic, instance) in log.data]
@@ -215,12 +216,6 @@ def _add_others(signals: Signals, log: Contents, field: str, topics: Mapping[str
             signals.add(field, stamps_of(data), flu_from_frd(value), name, str(instance))
     if slow:
         signals.notes.append(f"other {field}, slower than {LEAST_RATE:g} Hz, left out: {', '.join(slow)}")
-
-
-def _main_device(log: Contents, key: str) -> int | None:
-    """Device that flew the vehicle at the end, by `sensor_selection`."""
-    selection = log.get(SELECTION)
-    return int(selection[key][-1]) if selection and key in selection else None
 
 
 def _add_states(signals: Signals, log: Contents) -> None:
@@ -337,13 +332,10 @@ def _output_range(parameters: Mapping[str, float], output: Floats) -> tuple[floa
     if output.max() <= 1.0:
         return 0.0, 1.0, "0 to 1"
     names = ("PWM_MAIN_{}1", "PWM_MAIN_{}", "PWM_{}")
-    low, high = (_first(parameters, [name.format(end) for name in names]) for end in ("MIN", "MAX"))
+    ends = [[name.format(end) for name in names] for end in ("MIN", "MAX")]
+    low, high = (next((parameters[name] for name in each if name in parameters), 0.0) for each in ends)
     low, high = (low, high) if 0 < low < high else (1000.0, 2000.0)
     return low, high, f"pulses of {low:g} to {high:g} µs"
-
-
-def _first(parameters: Mapping[str, float], names: Sequence[str]) -> float:
-    return next((parameters[name] for name in names if name in parameters), 0.0)
 
 
 def _layout(parameters: Mapping[str, float], count: int) -> Layout | None:
