@@ -14,7 +14,7 @@ from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, rotor_level
 from quadftc_replay.inspection.rotor_step import torque_of
 from quadftc_replay.inspection.verdict import Ending, EndKind
-from quadftc_replay.inspection.whitening import runs_of
+from quadftc_replay.inspection.whitening import Floats, Mask, runs_of
 
 UPSET = np.radians(60.0)  # tilt
 LASTS = 0.2  # s; of the tilt
@@ -62,7 +62,7 @@ def upset_at(flight: Flight) -> float | None:
     time = log.attitude.time
     tilt = np.arccos(np.clip(earth_z_in_body(log.attitude.value)[..., 2], -1.0, 1.0))
     before_impact = time <= (np.inf if flight.crash is None else flight.crash)
-    for run in runs_of((tilt > UPSET) & before_impact):
+    for run in runs_of((tilt > UPSET) & before_impact & _powered(flight, time)):
         start, end = float(time[run.start]), float(time[run.stop - 1])
         crashes = flight.crash is not None and flight.crash - start < SOON
         if crashes or (end - start >= LASTS and _at_limits(log.rotor_commands, start - LASTS, end)):
@@ -70,6 +70,16 @@ def upset_at(flight: Flight) -> float | None:
         if end - start >= LASTS and _turns_against(flight, start - SOON, end):
             return start
     return None
+
+
+def _powered(flight: Flight, time: Floats) -> Mask:
+    """Whether the rotors carry the vehicle, or nobody knows (n,): a vehicle is turned over by hand, too."""
+    level = rotor_level(flight.log)
+    if level is None or not flight.phases_known:
+        return np.ones(len(time), np.bool_)
+    flying = flight.in_flight(level.time)
+    usual = float(np.nanmedian(level.value[flying, 0])) if flying.any() else 0.0
+    return np.interp(time, level.time, np.nan_to_num(level.value[:, 0])) > STOPPED * usual
 
 
 def _at_limits(commands: Signal | None, start: float, end: float) -> bool:

@@ -41,6 +41,7 @@ ASIDE = 0.5  # 1; of what r moves by, that may point elsewhere
 CALM = 0.35  # 1; quantile of the steps of a flight that is their usual size
 STAYS = 0.5  # 1; of the share, that is missing until the vehicle is down, or the rotor back
 ROUNDS = 3  # of fit and judgement
+PARTS = (0.35, 0.5, 0.75, 1.0)  # 1; of the flight, by which models are fitted
 LEAST_FLOWN = 30  # commands in flight
 MIXED = 0.98  # 1; R² of a mixer from which it is used
 USUAL = np.array([0.01, 0.03, 0.0])  # J [s²], L [s] and D [s], before anything is fitted
@@ -174,18 +175,20 @@ def fit(torque: Torque, moved: Floats) -> tuple[Floats, Floats]:
 def find_step(flight: Flight, torque: Torque) -> tuple[RotorStep | None, float]:
     """Find the first rotor that lost thrust; and what share of any rotor's thrust would show.
 
-    What comes after a loss spoils the model: it has to show with the model of what came before it, too.
+    What comes after a loss spoils the model. So models of longer and longer parts of the flight look for one,
+    and it has to show with the model of what came before it, too.
     """
     shows = _share_that_shows(torque)
-    step = search(torque, *_model(torque, np.inf), level=CANDIDATE)
-    for _ in range(ROUNDS):
-        if step is None:
-            break
-        again = search(torque, *_model(torque, step.onset - SOONER, step))
-        is_same = again is not None and again.rotor == step.rotor
-        if again is not None and is_same and abs(again.onset - step.onset) < SOONER:
-            return again._replace(onset=_begins_to_turn(flight, torque, again)), shows
-        step = again
+    for end in np.quantile(torque.time[torque.flying], PARTS).tolist():
+        step = search(torque, *_model(torque, end), level=CANDIDATE)
+        for _ in range(ROUNDS):
+            if step is None:
+                break
+            again = search(torque, *_model(torque, step.onset - SOONER, step))
+            is_same = again is not None and again.rotor == step.rotor
+            if again is not None and is_same and abs(again.onset - step.onset) < SOONER:
+                return again._replace(onset=_begins_to_turn(flight, torque, again)), shows
+            step = again
     return None, shows
 
 
