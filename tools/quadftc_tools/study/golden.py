@@ -1,7 +1,7 @@
 """What a fault observer says on all recordings and flights that it is judged on, beside what is stored.
 
     python -m quadftc_tools.study.golden DIR --observer NAME [--set tuning|judging] [--write]
-    python -m quadftc_tools.study.golden --observer NAME --campaign which_sensor 421 160
+    python -m quadftc_tools.study.golden --observer NAME --campaign which_sensor --seed 421 --count 160
 
 DIR holds the recordings, in ``broad/`` and ``crazyflie/``; without it there are the simulated flights alone.
 Printed are a table of counts and each difference to ``tests/golden/observers/NAME.json``, which ``--write``
@@ -58,29 +58,22 @@ def main() -> int:
     parser.add_argument("--observer", required=True, help="name of a fault observer")
     parser.add_argument("--set", choices=SETS, dest="part", help="this half alone")
     parser.add_argument("--write", action="store_true", help="store the verdicts")
-    parser.add_argument("--campaign", nargs=3, metavar=("NAME", "SEED", "COUNT"), help="other flights alone")
+    parser.add_argument("--campaign", choices=FLIGHTS, help="other flights alone")
+    parser.add_argument("--seed", type=int, default=1, help="of these")
+    parser.add_argument("--count", type=int, default=100, help="of these")
     options = parser.parse_args()
     try:
+        fault_observers.get(options.observer)  # a ValueError names those that there are
         if options.campaign:
-            return _fly(options.observer, *options.campaign)
+            say(table(judge(flights_of(options.campaign, options.seed, options.count), options.observer)))
+            return GOOD
         return _run(options.directory, options.observer, options.part, options.write)
     except (ValueError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return BAD_INPUT
 
 
-def _fly(observer: str, name: str, seed: str, count: str) -> int:
-    fault_observers.get(observer)
-    if name not in FLIGHTS:
-        raise ValueError(f"--campaign: no campaign '{name}'; known: {', '.join(FLIGHTS)}")
-    if not seed.isdecimal() or not count.isdecimal():
-        raise ValueError(f"--campaign: SEED and COUNT are '{seed}' and '{count}'; expected whole numbers")
-    say(f"{observer}\n\n{table(judge(flights_of(name, int(seed), int(count)), observer))}")
-    return GOOD
-
-
 def _run(directory: Path | None, observer: str, part: str | None, write: bool) -> int:
-    fault_observers.get(observer)  # a ValueError names those that there are
     if write and (directory is None or part):
         raise ValueError("--write: expected DIR and no --set, as all verdicts are stored together")
     stored = stored_verdicts(observer)

@@ -6,7 +6,7 @@ docs/judging.md says why each is in its set.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +24,7 @@ from quadftc_fdi.fault_observer import FaultObserver, fault_observers, is_usable
 from quadftc_flight.closed_loop import loop_of
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.loop_draws import LoopDraws
+from quadftc_flight.metrics import LOST
 from quadftc_flight.reported import joined
 from quadftc_flight.scenario import Scenario
 from quadftc_model.arrays import rows_of
@@ -32,6 +33,7 @@ from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FaultEstimate, FaultObserverInputs, ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND, seconds
 from quadftc_model.vehicle import load_vehicle
+from quadftc_replay.inspection.whitening import runs_of
 from quadftc_replay.open_loop import OpenDraws, open_loop_of
 from quadftc_replay.plan import FROM_GYRO, choose_observer, read_recording
 from quadftc_sim.assembly import sample_count
@@ -133,12 +135,8 @@ def _judge_bag(path: Path, observer: str) -> Verdict:
 
 def _absences(time: Floats, there: Mask) -> tuple[Event, ...]:
     """Return the times in which the attitude is not there, each up to and with the first sample that is."""
-    edges = np.flatnonzero(np.diff(~there, prepend=False, append=False)).tolist()
-    last = len(time) - 1
-    return tuple(
-        Event("attitude", float(time[first]), float(np.nextafter(time[min(end, last)], np.inf)))
-        for first, end in zip(edges[::2], edges[1::2], strict=True)
-    )
+    until = np.nextafter(np.append(time[1:], time[-1]), np.inf)
+    return tuple(Event("attitude", float(time[run][0]), float(until[run][-1])) for run in runs_of(~there))
 
 
 def _judge_log(path: Path, observer: str, attitude: bool) -> Verdict:
@@ -202,21 +200,21 @@ class _Loops:
             parts.append((begin + came - delay, *rows_of(said, came)))
         taken, estimate, reference = joined(parts)
         errors = np.sqrt(np.sum(wrap(angles[taken] - reference) ** 2, axis=1))
-        alarms = alarms_of(scheme.observer.law, taken * seconds(round(loop.clock.period_ns)), estimate)
-        events = _events_of((*scenario.fault_events, *scenario.rotor_events))
-        error_deg = two_digits(float(np.degrees(errors.max())))
-        return Verdict(alarms, error_deg, (0.0, scenario.duration), events)
+        flown = np.flatnonzero(np.cumsum(errors > LOST) <= 1)  # what a lost vehicle says is chance
+        time = taken[flown] * seconds(round(loop.clock.period_ns))
+        alarms = alarms_of(scheme.observer.law, time, rows_of(estimate, flown))
+        end = scenario.duration if len(flown) == len(taken) else float(time[-1])
+        scheduled = (*scenario.fault_events, *scenario.rotor_events)
+        events = tuple(_event_of(event) for event in scheduled if event.start < end)
+        error_deg = two_digits(float(np.degrees(errors[flown].max())))
+        return Verdict(alarms, error_deg, (0.0, end), events)
 
 
-def _events_of(events: Iterable[FaultEvent]) -> tuple[Event, ...]:
-    """Return scheduled faults by the names of their elements."""
-    return tuple(Event(f"{e.component}/{_element_of(e)}", e.start, e.stop) for e in events)
-
-
-def _element_of(event: FaultEvent) -> str:
-    if event.axis not in AXES:
-        return str(event.axis)  # the number of a rotor
-    return elements_of(event.component, 0)[0][AXES.index(event.axis)]
+def _event_of(event: FaultEvent) -> Event:
+    """Return a scheduled fault by the name of its element; that of a rotor is its number."""
+    axis, component = event.axis, event.component
+    name = elements_of(component, 0)[0][AXES.index(axis)] if axis in AXES else axis
+    return Event(f"{component}/{name}", event.start, event.stop)
 
 
 def trials(directory: Path | None) -> list[Trial]:
