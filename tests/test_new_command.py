@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
+from quadftc_cli import new_package
 from quadftc_cli.new_package import KINDS, PACKAGE, write_package
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
@@ -104,3 +105,10 @@ def test_directory_that_exists_is_left_alone(tmp_path):
     (tmp_path / "mine").mkdir()
     with pytest.raises(ValueError, match="exists"):
         write_package("fault", "mine", tmp_path)
+
+
+def test_installation_without_the_examples_is_told_how_to_have_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(new_package, "__file__", str(tmp_path / "new_package.py"))
+    with pytest.raises(ValueError, match="--symlink-install"):
+        write_package("fault", "mine", tmp_path)
+    assert not (tmp_path / "mine").exists()

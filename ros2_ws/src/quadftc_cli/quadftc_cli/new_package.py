@@ -80,7 +80,7 @@ KINDS = {
 def write_package(kind: str, name: str, directory: Path) -> list[Path]:
     """Write a package for a component of a kind into ``directory/NAME``; return its files.
 
-    A ValueError says if the name cannot be used, or the directory exists.
+    A ValueError says if the name cannot be used, the directory exists, or the examples are not there.
     """
     if kind not in KINDS:
         raise ValueError(f"{kind}: expected one of {', '.join(KINDS)}")
@@ -119,6 +119,8 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
 
 
 def _examples() -> Path:
-    """Return the folder of the examples: the repository's, or that in the wheel."""
-    folders = (each / "examples" for each in Path(__file__).resolve().parents)
-    return next(each for each in folders if (each / PACKAGE).is_dir())
+    """Return the folder of the examples, the repository's or the wheel's; a ValueError: there is neither."""
+    for folder in Path(__file__).resolve().parents:
+        if (folder / "examples" / PACKAGE).is_dir():
+            return folder / "examples"
+    raise ValueError("the examples, which it copies, are not there: build with colcon's --symlink-install")
