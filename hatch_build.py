@@ -5,6 +5,7 @@ Called by hatchling, and by itself as a script in a process of its own: ``hatch_
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import platform
 import shutil
@@ -20,7 +21,7 @@ ROOT = Path(__file__).parent
 NEEDED = ("jax", "jaxtyping", "numpy", "pydantic", "pyyaml", "ruamel-yaml")  # to load and trace the scenarios
 HAS_COMPILER = any(map(shutil.which, ("cc", "gcc", "clang")))
 CARRIES = HAS_COMPILER and (sys.platform, platform.machine()) == ("linux", "x86_64")
-NO_C = 3  # the exit code where the compiler does not work
+NO_C = 3  # the exit code where a law cannot be compiled
 
 
 class CarryHook(BuildHookInterface):
@@ -34,6 +35,9 @@ class CarryHook(BuildHookInterface):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile the laws."""
         if not CARRIES or version == "editable":
+            return
+        if missing := [name for name in NEEDED if not _is_installed(name)]:  # without build isolation
+            self.app.display_warning(f"the wheel carries no compiled laws: no {', '.join(missing)}")
             return
         self._place = tempfile.TemporaryDirectory(prefix="quadftc_")  # until the wheel is written
         folder = self._place.name
@@ -50,6 +54,14 @@ class CarryHook(BuildHookInterface):
             return
         build_data["force_include"][folder] = "quadftc_compile/carried"
         build_data["pure_python"], build_data["tag"] = False, "py3-none-linux_x86_64"
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        importlib.metadata.distribution(name)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def main(folder: Path) -> None:
