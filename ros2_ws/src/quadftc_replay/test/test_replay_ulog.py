@@ -14,6 +14,7 @@ from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_replay.imu_from_log import recording_from_log
 from quadftc_replay.imu_recording import nearest_rows, sampling_rate
 from quadftc_replay.plan import ReplayOptions, plan_replay
+from quadftc_replay.readers import ulog
 
 GYRO_PERIOD_US = 5000  # 200 Hz
 ATTITUDE_EVERY = 10  # gyro samples
@@ -26,8 +27,14 @@ FORMATS = {
     "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;int32_t accelerometer_timestamp_relative;"
     "float[3] accelerometer_m_s2;",
     "vehicle_angular_velocity": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz;",
+    "sensor_gyro": "uint64_t timestamp;float x;float y;float z;",
 }
-PACKING = {"vehicle_attitude": "<QQ4fB", "sensor_combined": "<Q3fi3f", "vehicle_angular_velocity": "<QQ3f"}
+PACKING = {
+    "vehicle_attitude": "<QQ4fB",
+    "sensor_combined": "<Q3fi3f",
+    "vehicle_angular_velocity": "<QQ3f",
+    "sensor_gyro": "<Q3f",
+}
 
 
 def message(kind: str, body: bytes) -> bytes:
@@ -219,3 +226,13 @@ def test_log_cut_short_is_read_up_to_the_cut(tmp_path, kept):
     recording = recording_from_log(path)
     assert 100 < len(recording) < COUNT
     assert recording.warnings[0] == f"{path}: cut short: the log ends within a message"
+
+
+def test_gyro_whose_clock_stands_still_is_left_out(tmp_path):
+    topics = {
+        "vehicle_attitude": flight()["vehicle_attitude"],
+        "sensor_gyro": [(BOOT_US, 0.1, 0.0, 0.0)] * 50,
+    }
+    log = ulog.read(write_ulog(tmp_path / "log.ulg", topics))
+    assert not log.gyros
+    assert "other gyros, slower than 20 Hz, left out: sensor_gyro[0]" in log.notes

@@ -42,7 +42,6 @@ from quadftc_bags.bag import BagError
 from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import FlightLog, Floats
-from quadftc_replay.imu_recording import sampling_rate
 from quadftc_replay.readers.layouts import Layout, frame_layout
 from quadftc_replay.readers.signals import Signals, sound, thrust_of_throttle
 from quadftc_replay.readers.ulog_datasets import Dataset, fields_of, stamps_of, vectors
@@ -205,7 +204,8 @@ def _add_others(signals: Signals, log: Contents, field: str, topics: Mapping[str
         is_main = device is not None and main is not None and int(device[0]) == main
         if signals.has(field) and (is_main or (main is None and instance == 0)):
             continue  # the main one, at first hand
-        if len(stamps_of(data)) < 2 or sampling_rate(stamps_of(data)) < LEAST_RATE:
+        steps = np.diff(stamps_of(data))
+        if not len(steps) or not 0 < np.median(steps) <= NANOSECONDS_PER_SECOND / LEAST_RATE:
             slow.append(name)
             continue
         value = vectors(data, element) if element else fields_of(data, "x", "y", "z")
