@@ -37,7 +37,6 @@ SERIAL_FILES = {
     "test_graph_realtime.py",
     "test_launch_file.py",
     "test_launch_graph.py",
-    "test_play.py",
     "test_recorder_faults.py",
     "test_recorder_node.py",
     "test_software_faults.py",
