@@ -100,7 +100,7 @@ class LinearModel:
     """Equations 0 = E x' + A x + B w + F f + known signals, linear around one motion.
 
     The states x are the unknowns of which derivatives appear, w the other unknowns, f the faults. A fault
-    must be in exactly one equation, as its size does not count: else ValueError.
+    must be in exactly one equation, so that its coefficient does not matter: else ValueError.
     """
 
     name: str

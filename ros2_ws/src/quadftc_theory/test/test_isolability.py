@@ -271,6 +271,12 @@ def test_wrong_assumption_is_refused(wrong, line):
         Assumptions(**wrong)
 
 
+def test_fault_in_two_equations_is_refused():
+    x, f = sympy.symbols("x f")
+    with pytest.raises(ValueError, match="fault 'f' is in 2 equations, expected 1"):
+        linearised("twice", [x + f, x - f], states=[], unknowns=["x"], faults=["f"], point={})
+
+
 VECTORS = {
     "angles": ("phi", "theta", "psi"),
     "rate": ("p", "q", "r"),
