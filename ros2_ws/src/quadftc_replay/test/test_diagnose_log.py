@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -225,6 +226,16 @@ def test_weak_rotor_is_named_against_a_healthy_flight_alone():
     assert (found.component, found.element, found.kind) == ("rotor", "3", "loss")
     assert found.size == pytest.approx(0.1, abs=0.04)
     assert not inspect(shares(trimmed, 5), shares(trimmed, 4)).verdict.findings
+
+
+def test_baseline_of_rotors_without_a_layout_is_said_to_be_of_no_use():
+    log, healthy = (
+        dataclasses.replace(shares([1.0] * 4, seed), rotor_positions=None, rotor_yaw_signs=None)
+        for seed in (3, 4)
+    )
+    said = [each.reason for each in inspect(log, healthy).verdict.not_judged if each.component == "rotor"]
+    alone = [each.reason for each in inspect(log).verdict.not_judged if each.component == "rotor"]
+    assert said == [*alone, "a baseline is of no use where their layout is not known"]
 
 
 def test_rotor_that_stands_still_is_named_by_its_speed():

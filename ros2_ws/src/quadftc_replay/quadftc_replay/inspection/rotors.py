@@ -75,6 +75,8 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
             missing.append(_not_judged("the baseline has no steady flight with rotor commands or speeds"))
     if not can_see_loss:
         missing.append(_not_judged(_why_no_loss(flight, has_rotors, model, shows)))
+    if baseline is not None and effects(log) is None:
+        missing.append(_not_judged("a baseline is of no use where their layout is not known"))
     return Rotors(found, model, has_rotors and can_see_loss, missing)
 
 
