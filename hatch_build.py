@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent
 NEEDED = ("jax", "jaxtyping", "numpy", "pydantic", "pyyaml", "ruamel-yaml")  # to load and trace the scenarios
 HAS_COMPILER = any(map(shutil.which, ("cc", "gcc", "clang")))
 CARRIES = HAS_COMPILER and (sys.platform, platform.machine()) == ("linux", "x86_64")
-NO_C = 3  # the exit code where a law cannot be compiled
+NO_C = 3  # the exit code where the compiler does not work; a law that cannot be compiled stops the build
 
 
 class CarryHook(BuildHookInterface):
@@ -66,18 +66,20 @@ def _is_installed(name: str) -> bool:
 
 def main(folder: Path) -> None:
     """Compile the laws of the scenarios, with each of their schemes, into a folder."""
-    from quadftc_compile.build import BuildError
+    from quadftc_compile.build import PORTABLE, BuildError
     from quadftc_compile.carry import carry
+    from quadftc_compile.wiring import compile_conductor
     from quadftc_flight.closed_loop import loop_of
     from quadftc_flight.scenario import load_scenario
 
-    scenarios = [load_scenario(path) for path in sorted(ROOT.glob("scenarios/*.yaml"))]
-    loops = [loop_of(each, each.scheme(name)) for each in scenarios for name in each.schemes]
     try:
-        carry((law for loop in loops for law in loop.laws.values()), folder)
+        compile_conductor(*PORTABLE)
     except BuildError as error:  # a compiler without headers, say
         sys.stderr.write(f"{error}\n")
         sys.exit(NO_C)
+    scenarios = [load_scenario(path) for path in sorted(ROOT.glob("scenarios/*.yaml"))]
+    loops = [loop_of(each, each.scheme(name)) for each in scenarios for name in each.schemes]
+    carry((law for loop in loops for law in loop.laws.values()), folder)
 
 
 if __name__ == "__main__":
