@@ -73,7 +73,7 @@ def write_loop_bag(record: BagRecord, directory: Path, attachments: Mapping[str,
     messages: list[Message] = []
     for channel, (topic, stamps, data) in enumerate(_topics(record), 1):
         add_topic(file, topic)
-        messages += zip(stamps.tolist(), itertools.repeat(channel), data, strict=False)
+        messages += zip(stamps.tolist(), itertools.repeat(channel, len(data)), data, strict=True)
     write_messages(file, messages)
     file.close()
     return dict(file.counts)

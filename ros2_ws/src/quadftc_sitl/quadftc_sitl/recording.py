@@ -114,7 +114,8 @@ class Recorder:
             fields = {name: np.array(values) for name, values in columns.items()}
             stamps = fields.pop("stamp_ns")
             data = encoded(topic, stamps, imu_fields(fields) if topic == "imu/data" else fields)
-            messages += zip(stamps.tolist(), itertools.repeat(self._channels[topic]), data, strict=False)
+            channels = itertools.repeat(self._channels[topic], len(data))
+            messages += zip(stamps.tolist(), channels, data, strict=True)
 
         def write() -> None:
             write_messages(self._file, messages)

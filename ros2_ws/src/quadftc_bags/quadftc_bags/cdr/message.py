@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import lru_cache, partial
 from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
@@ -50,7 +50,7 @@ def read_numbers(data: bytes, message_class: type) -> tuple[Any, ...]:
     return _number_reader(message_class, data[1:2] + data[FRAME_LENGTH:FRAME])(data)[1]
 
 
-@cache
+@lru_cache(maxsize=64)  # a bag may hold names of any length
 def _number_reader(message_class: type, _: bytes) -> FieldReader:
     """Return a reader of all numbers, for a byte order and a length of the frame's name."""
     return FieldReader(message_class)
