@@ -36,6 +36,7 @@ TOLD = ("/rosout", "/parameter_events", "/diagnostics")
 HEARD = ("/clock", "/parameter_events")
 # what no node of a graph waits for
 BESIDE = {"plant": ("imu/mag", "imu/static_pressure"), "attitude_estimator": ("imu/data",)}
+OWN = "~/loop"  # that `doctor` sends to itself
 OPERATORS = tuple(row.name for row in TOPICS.values() if row.name.endswith("setpoint"))
 
 
@@ -61,9 +62,9 @@ def policy(namespace: str = "/") -> str:
         _allow(profile, "services", "service", reply=[f"~/{each}" for each in (*SERVICES[node], *EVERY_NODE)])
     for enclave, node in (("launcher", "launch_graph"), ("launcher", "recorder"), ("operator", "quadftc_*")):
         profile = _profile(enclaves, enclave, node, namespace)
-        tells = (*TOLD, "~/transition_event", *(OPERATORS if enclave == "operator" else ()))
-        _allow(profile, "topics", "topic", publish=tells)
-        _allow(profile, "topics", "topic", subscribe=(*HEARD, "/rosout", *everything))
+        hears, tells = ((OWN,), (OWN, *OPERATORS)) if enclave == "operator" else ((), ())
+        _allow(profile, "topics", "topic", publish=(*TOLD, "~/transition_event", *tells))
+        _allow(profile, "topics", "topic", subscribe=(*HEARD, "/rosout", *hears, *everything))
         _allow(profile, "services", "service", reply=[f"~/{each}" for each in EVERY_NODE])
         _allow(profile, "services", "service", request=calls)
     ET.indent(root)
