@@ -152,12 +152,12 @@ class BankObserver(FlightLaw):
         attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), _of_gyro(1.0 * named) > 0.0
         # one witness of each axis stays: who names the last takes the other name back
         cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
-        by_both = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
+        before = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
         believed = motion.unsettled(believed, motion.THETA, where(cleared[0], off * off, 0.0))
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
-        attitude = trust.watch_attitude(by_both[0], attitude, age, off, spread, white, there, dt)
-        before, louder = state.motion.bias, noise.louder(state.learning)
-        gyro = trust.watch_gyro(by_both[1], gyro, age, believed, before, louder, dt)
+        attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, dt)
+        usual, louder = state.motion.bias, noise.louder(state.learning)
+        gyro = trust.watch_gyro(before[1], gyro, age, believed, usual, louder, dt)
         # learn
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
         moves = read, state.rate, known, imu.q_xyzw, state.q_xyzw
