@@ -51,7 +51,7 @@ CHANGED = np.array(CHANGES)[KIND]
 EFFECT = 3 * CHANGED + AXIS
 PRIOR = np.array([[kind.size, kind.slope] for kind in KINDS])[KIND] ** 2  # (modes, 2) variances
 RATE = np.array([kind.rate for kind in KINDS])[KIND] / 3600.0  # (modes,) per second
-MORE = np.log(EVENTS / FAULTS)  # added to the log of a fault's rate where another axis of its sensor is faulty
+MORE = np.log(EVENTS / FAULTS)  # added to the log of a rate where another axis of the sensor is faulty
 IS_FAULT = np.array([kind.is_fault for kind in KINDS])[KIND]
 SAME = 1.0 * np.equal(EFFECT[:, None], EFFECT) * np.equal(IS_FAULT[:, None], IS_FAULT)  # one name: added up
 
