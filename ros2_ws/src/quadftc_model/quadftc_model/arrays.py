@@ -6,7 +6,7 @@ Functions take their library from their arguments; a Python number is NumPy's.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -50,7 +50,7 @@ def namespace(*arrays: Array) -> Any:
     return np
 
 
-def components(vector: Components) -> tuple[Any, ...]:
+def components(vector: Components) -> tuple[Array, ...]:
     """Return the components along the last axis, (..., n) -> n times (...)."""
     return tuple(vector[..., index] for index in range(vector.shape[-1]))
 
@@ -115,7 +115,7 @@ def diagonal(matrix: Array) -> Components:
 def solve_positive(A: Array, B: Array) -> Array:
     """X of A X = B, A (..., n, n) symmetric and positive definite, B (..., n, m): elimination, no pivots."""
     xp, n = namespace(A, B), A.shape[-1]
-    rows: list[Any] = [xp.concatenate([A[..., row, :], B[..., row, :]], axis=-1) for row in range(n)]
+    rows: list[Array] = [xp.concatenate([A[..., row, :], B[..., row, :]], axis=-1) for row in range(n)]
     for row in range(n):
         unit = rows[row] / rows[row][..., row : row + 1]
         rows = [unit if k == row else each - each[..., row : row + 1] * unit for k, each in enumerate(rows)]
@@ -187,13 +187,17 @@ def any_of(mask: Array) -> Array:
     return mask.any(axis=-1, keepdims=True)
 
 
+def alike(tree: object, parts: Iterable[object]) -> Any:
+    """Return a tuple of the kind of another, a NamedTuple perhaps, with parts of its own."""
+    kind: Any = type(tree)
+    return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
+
+
 def chosen(flag: Flag, new: T, old: T) -> T:
     """Arrays of ``new`` where a flag (...) holds, of ``old`` elsewhere; both are nested tuples alike."""
     if isinstance(new, tuple):
-        parts, others = cast("tuple[Any, ...]", new), cast("tuple[Any, ...]", old)
-        each = [chosen(flag, a, b) for a, b in zip(parts, others, strict=True)]
-        kind: Any = type(parts)
-        return kind(*each) if hasattr(kind, "_fields") else kind(each)
+        parts, others = cast("tuple[object, ...]", new), cast("tuple[object, ...]", old)
+        return alike(parts, [chosen(flag, a, b) for a, b in zip(parts, others, strict=True)])
     if new is None:
         return cast("T", None)
     xp = namespace(flag, new, old)
@@ -221,7 +225,7 @@ def branch(flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
 def finite(part: Any, batch: int = 0) -> Flag:
     """Whether all floats of nested tuples of arrays are finite, for each of ``batch`` leading axes."""
     if isinstance(part, tuple):
-        parts = [finite(each, batch) for each in cast("tuple[Any, ...]", part)]
+        parts = [finite(each, batch) for each in cast("tuple[object, ...]", part)]
         return functools.reduce(lambda a, b: a & b, parts, np.True_)
     xp = namespace(part)
     if part is None or xp.asarray(part).dtype.kind != "f":
@@ -229,12 +233,10 @@ def finite(part: Any, batch: int = 0) -> Flag:
     return xp.isfinite(part).all(axis=tuple(range(batch, np.ndim(part))))
 
 
-def rows_of(part: Any, index: Any) -> Any:
+def rows_of(part: T, index: object) -> T:
     """Return the elements at an index of every array of nested tuples; None and single flags stay so."""
     if isinstance(part, tuple):
-        parts = cast("tuple[Any, ...]", part)
-        kind: Any = type(parts)
-        rows = [rows_of(each, index) for each in parts]
-        return kind(*rows) if hasattr(kind, "_fields") else tuple(rows)
-    rows: Any = part
+        parts = cast("tuple[object, ...]", part)
+        return alike(parts, [rows_of(each, index) for each in parts])
+    rows: Array = part
     return rows if part is None or isinstance(part, (bool, np.bool_)) else rows[index]

@@ -36,11 +36,11 @@ class VehicleLaw(Checked, abc.ABC, Generic[In, Out]):
     vehicle: Vehicle
 
     @abc.abstractmethod
-    def init(self, inputs: In) -> Any:
+    def init(self, inputs: In) -> object:
         """Return the state at the first sample."""
 
     @abc.abstractmethod
-    def step(self, state: Any, inputs: In, dt: float) -> tuple[Any, Out]:
+    def step(self, state: Any, inputs: In, dt: float) -> tuple[object, Out]:
         """Advance by ``dt`` [s] to a sample; 0 at the first one."""
 
 
@@ -64,7 +64,7 @@ def texts(parameters: NodeParameters, name: str) -> list[str]:
     return [item for item in value if item.strip()]
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any) -> NodeValue:
     """An array as a list, anything else as it is."""
     return value if isinstance(value, (str, bool, int, float)) else list(value)
 
@@ -94,13 +94,13 @@ def component_from(registry: Registry[T], parameters: NodeParameters, selector: 
 def components_from(registry: Registry[T], parameters: NodeParameters, name: str) -> list[T]:
     """Build the components that a list of specifications describes, such as ``step angles=5deg,0,0``."""
 
-    def make(kind: str, values: Mapping[str, Any]) -> T:
+    def make(kind: str, values: Mapping[str, object]) -> T:
         return build(registry.get(kind), values)
 
     return [component_of(registry.kind, text, make) for text in texts(parameters, name)]
 
 
-def component_of(kind: str, text: str, make: Callable[[str, Mapping[str, Any]], T]) -> T:
+def component_of(kind: str, text: str, make: Callable[[str, Mapping[str, object]], T]) -> T:
     """Make a component from its specification; ``kind`` says in error messages what it is."""
     try:
         return make(*parse_spec(text))
@@ -118,7 +118,7 @@ def vehicle_from(parameters: NodeParameters) -> Vehicle:
     return load_vehicle(get(parameters, "vehicle", str))
 
 
-def node_values(component: Any, prefix: str) -> dict[str, NodeValue]:
+def node_values(component: object, prefix: str) -> dict[str, NodeValue]:
     """Return all parameters of a component as ``prefix.<name>``: the inverse of :func:`build_prefixed`.
 
     With an empty prefix they have their own names: the inverse of :func:`build_named`.

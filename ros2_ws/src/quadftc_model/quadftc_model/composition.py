@@ -11,8 +11,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from quadftc_model.arrays import branch
-from quadftc_model.stepper import Engine, Runner
+from quadftc_model.arrays import Flag, Scalar, branch
+from quadftc_model.stepper import Engine
 
 T = TypeVar("T")
 
@@ -20,15 +20,15 @@ T = TypeVar("T")
 class Calls(Protocol):
     """How a composition calls its laws."""
 
-    def init(self, name: str) -> Any:
+    def init(self, name: str) -> object:
         """Return a state of a law to begin with: that at its example."""
         ...
 
-    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+    def step(self, name: str, state: object, inputs: object, dt: Scalar) -> tuple[object, Any]:
         """Step a law by ``dt`` [s]; where that is 0, the law begins."""
         ...
 
-    def branch(self, flag: Any, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
+    def branch(self, flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
         """Return ``then()`` where a flag holds and ``otherwise()`` elsewhere, nested tuples alike."""
         ...
 
@@ -41,11 +41,11 @@ class Composition(Protocol):
         """The laws; each has an ``example()`` of its inputs."""
         ...
 
-    def init(self, calls: Calls) -> Any:
+    def init(self, calls: Calls) -> object:
         """Return a state to begin with."""
         ...
 
-    def step(self, calls: Calls, state: Any, inputs: Any) -> tuple[Any, Any]:
+    def step(self, calls: Calls, state: Any, inputs: Any) -> tuple[object, object]:
         """Advance to the next sample."""
         ...
 
@@ -56,17 +56,17 @@ class PlainCalls:
     def __init__(self, laws: Mapping[str, Any]) -> None:
         self._laws = laws
 
-    def init(self, name: str) -> Any:
+    def init(self, name: str) -> object:
         """Return the state of a law at its example."""
         return self._laws[name].init(self._laws[name].example())
 
-    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+    def step(self, name: str, state: object, inputs: object, dt: Scalar) -> tuple[object, Any]:
         """Step a law by ``dt`` [s]; where that is 0, the law begins."""
         law = self._laws[name]
         before = branch(dt == 0.0, lambda: law.init(inputs), lambda: state)
         return law.step(before, inputs, dt)
 
-    def branch(self, flag: Any, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
+    def branch(self, flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
         """Return ``then()`` where a flag holds and ``otherwise()`` elsewhere."""
         return branch(flag, then, otherwise)
 
@@ -76,15 +76,15 @@ class RunnerCalls:
 
     def __init__(self, laws: Mapping[str, Any], engine: Engine) -> None:
         self._laws = laws
-        self._runners: dict[str, Runner[Any, Any]] = {name: engine(law) for name, law in laws.items()}
-        self._states: dict[str, Any] = {}  # at their last steps
+        self._runners = {name: engine(law) for name, law in laws.items()}
+        self._states: dict[str, object] = {}  # at their last steps
 
-    def init(self, name: str) -> Any:
+    def init(self, name: str) -> object:
         """Return the state of a law at its example."""
         with np.errstate(all="ignore"):
             return self._laws[name].init(self._laws[name].example())
 
-    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+    def step(self, name: str, state: object, inputs: object, dt: Scalar) -> tuple[object, Any]:
         """Step a law by ``dt`` [s]; where that is 0, the law begins."""
         runner = self._runners[name]
         after = runner.first(inputs) if dt == 0.0 else runner.step(state, inputs, float(dt))
@@ -95,6 +95,6 @@ class RunnerCalls:
         """Return the state of a law at its last step."""
         return self._runners[name].tree(self._states[name])
 
-    def branch(self, flag: Any, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
+    def branch(self, flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
         """Return ``then()`` if a flag holds, or ``otherwise()``."""
         return then() if flag else otherwise()

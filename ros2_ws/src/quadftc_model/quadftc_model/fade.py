@@ -6,8 +6,7 @@ one gives, and given up in a straight line over `FADE`.
 
 from __future__ import annotations
 
-from typing import Any
-
+from quadftc_model.arrays import Components
 from quadftc_model.stepper import seconds
 
 FADE = 1.0  # s; in which an offset is given up
@@ -17,18 +16,18 @@ class Fade:
     """An offset of one vehicle; none before `begin` and once it is given up."""
 
     def __init__(self) -> None:
-        self._offset: Any = None
+        self._offset: Components | None = None
         self._since_ns = 0
 
-    def begin(self, stamp_ns: int, offset: Any) -> None:
-        """Begin at a sample [ns] with an offset: an array."""
+    def begin(self, stamp_ns: int, offset: Components) -> None:
+        """Begin at a sample [ns] with an offset (n,)."""
         self._offset, self._since_ns = offset, stamp_ns
 
     def end(self) -> None:
         """Give the offset up at once."""
         self._offset = None
 
-    def at(self, stamp_ns: int) -> Any:
+    def at(self, stamp_ns: int) -> Components | None:
         """Return what is left of the offset at a sample [ns]; None: nothing."""
         if self._offset is None:
             return None

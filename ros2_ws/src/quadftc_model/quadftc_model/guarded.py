@@ -6,7 +6,7 @@ import dataclasses
 import sys
 from typing import Any, Generic, Protocol, TypeVar, cast
 
-from quadftc_model.arrays import Flag, branch, finite, where
+from quadftc_model.arrays import Flag, Scalar, branch, finite, where
 from quadftc_model.stepper import MAX_GAP, In_contra, Stepper, seconds
 
 if sys.version_info >= (3, 11):
@@ -24,11 +24,11 @@ OLDEST_WORDS = 10.0  # s; at the first sample: a fault may have ended since
 class RestartingLaw(Protocol[In_contra, Out]):
     """A law that can be guarded."""
 
-    def init(self, inputs: In_contra) -> Any:
+    def init(self, inputs: In_contra) -> object:
         """Return the state at the first sample."""
         ...
 
-    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[Any, Out]:
+    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[object, Out]:
         """Advance by ``dt`` [s] to a sample."""
         ...
 
@@ -48,7 +48,7 @@ class RestartingLaw(Protocol[In_contra, Out]):
 class GuardedState(NamedTuple):
     """State of a law, and whether it is one to go on from."""
 
-    law: Any
+    law: object
     starts: Flag  # it is not: the law starts at the next sample at which it can
 
 
@@ -71,7 +71,7 @@ class Guarded(Generic[In, Out]):
     law: RestartingLaw[In, Out]
 
     @property
-    def named_after(self) -> Any:
+    def named_after(self) -> object:
         """What it is called after where it is compiled."""
         return self.law
 
@@ -80,7 +80,7 @@ class Guarded(Generic[In, Out]):
         law: Any = self.law
         return law.example()
 
-    def example_words(self) -> Any:
+    def example_words(self) -> object:
         """Return last words of the law as they may come, for the compiler; None: it does not resume."""
         return getattr(self.law, "example_words", lambda: None)()
 
@@ -88,13 +88,13 @@ class Guarded(Generic[In, Out]):
         """Return the state at the first sample."""
         return GuardedState(self.law.init(inputs), ~self.law.ready(inputs))
 
-    def resumed(self, inputs: In, words: Any) -> GuardedState:
+    def resumed(self, inputs: In, words: object) -> GuardedState:
         """Return the state that resumes at a sample by last words."""
         law: Any = self.law
         state, ready = law.resumed(inputs, words), self.law.ready(inputs)
         return GuardedState(state, ready & ~ready)
 
-    def step(self, state: GuardedState, inputs: In, dt: Any) -> tuple[GuardedState, GuardedOutput[Out]]:
+    def step(self, state: GuardedState, inputs: In, dt: Scalar) -> tuple[GuardedState, GuardedOutput[Out]]:
         """Advance by ``dt`` [s] to a sample."""
         before = branch(state.starts, lambda: self.law.init(inputs), lambda: state.law)
         after, output = self.law.step(before, inputs, where(state.starts, 0.0, dt))
@@ -121,10 +121,10 @@ class GuardedStepper(Stepper[In, Out]):
         super().reset()
         self.starts = True
 
-    def _run_law(self, law: Any) -> Any:
+    def _run_law(self, law: Any) -> object:
         return Guarded(law)
 
-    def _keep(self, stamp_ns: int, stepped: tuple[Any, Any]) -> Out:
+    def _keep(self, stamp_ns: int, stepped: tuple[object, Any]) -> Out:
         output = cast("GuardedOutput[Out]", super()._keep(stamp_ns, stepped))
         self.starts = bool(output.starts)
         self.replaced += bool(output.failed)

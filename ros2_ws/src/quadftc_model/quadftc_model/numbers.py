@@ -13,19 +13,20 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-Numbers = NDArray[Any]
+from quadftc_model.arrays import AnyArray, alike
+
+Numbers = AnyArray
 
 prepared = functools.cached_property  # of a frozen dataclass: what follows from its parameters, once
 LABEL = {"quadftc_label": True}  # metadata of a field that people read, and no law
 
 
-def structure_of(part: Any) -> Any:
+def structure_of(part: object) -> Hashable:
     """Return what two parts must have in common to share a compiled step; hashable."""
     return tuple(
         (path, number.shape, number.dtype.kind)
@@ -35,12 +36,12 @@ def structure_of(part: Any) -> Any:
     )
 
 
-def numbers_of(part: Any) -> dict[str, Numbers]:
+def numbers_of(part: object) -> dict[str, Numbers]:
     """Return the numbers of a part, by path."""
     return {path: number for path, _, number in _walk(part) if number is not None}
 
 
-def number_at(part: Any, path: str) -> Numbers:
+def number_at(part: object, path: str) -> Numbers:
     """Return the number of a part at a path."""
     found = part_at(part, path)
     number = _as_number(found)
@@ -56,7 +57,7 @@ def part_at(part: Any, path: str) -> Any:
     return part
 
 
-def with_numbers(part: Any, values: Mapping[str, Any], path: str = "") -> Any:
+def with_numbers(part: Any, values: Mapping[str, object], path: str = "") -> Any:
     """Return the part at a path with other numbers, unchecked: they may be tracers of JAX."""
     if path in values:
         return values[path]
@@ -65,15 +66,14 @@ def with_numbers(part: Any, values: Mapping[str, Any], path: str = "") -> Any:
         return part
     inside = {name: with_numbers(each, values, f"{start}{name}") for name, each in _children(part)}
     if isinstance(part, tuple):
-        kind: Any = type(cast("tuple[Any, ...]", part))
-        return kind(*inside.values()) if hasattr(kind, "_fields") else tuple(inside.values())
+        return alike(cast("tuple[object, ...]", part), inside.values())
     changed = copy.copy(part)
     for name, value in inside.items():
         object.__setattr__(changed, name, value)
     return changed
 
 
-def _walk(part: Any, path: str = "") -> Iterator[tuple[str, Any, Numbers | None]]:
+def _walk(part: object, path: str = "") -> Iterator[tuple[str, object, Numbers | None]]:
     """Yield every part, the inner ones after those that they are in; with its numbers, if it is some."""
     number = _as_number(part)
     yield path, part, number
@@ -82,7 +82,7 @@ def _walk(part: Any, path: str = "") -> Iterator[tuple[str, Any, Numbers | None]
             yield from _walk(inside, f"{path}.{name}" if path else name)
 
 
-def _as_number(part: Any) -> Numbers | None:
+def _as_number(part: object) -> Numbers | None:
     """Return a float, an array, or a tuple of floats, as an array; None for anything else."""
     if isinstance(part, (float, np.ndarray)):
         return np.asarray(part)
@@ -91,15 +91,15 @@ def _as_number(part: Any) -> Numbers | None:
     return None
 
 
-def _children(part: Any) -> list[tuple[str, Any]]:
+def _children(part: object) -> list[tuple[str, object]]:
     if isinstance(part, tuple):
-        parts = cast("tuple[Any, ...]", part)
-        names: Any = getattr(parts, "_fields", range(len(parts)))
+        parts = cast("tuple[object, ...]", part)
+        names: Sequence[object] = getattr(parts, "_fields", range(len(parts)))
         return [(str(name), each) for name, each in zip(names, parts, strict=True)]
     return [(name, getattr(part, name)) for name in _names(type(part))] if _is_container(part) else []  # pyright: ignore
 
 
-def _is_container(part: Any) -> bool:
+def _is_container(part: object) -> bool:
     return isinstance(part, tuple) or dataclasses.is_dataclass(part)
 
 

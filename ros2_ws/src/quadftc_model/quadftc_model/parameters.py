@@ -99,7 +99,11 @@ class Timed(Checked):
 
 
 def build(
-    component: type[T], values: Mapping[str, Any], *, units: Mapping[str, str] | None = None, **context: Any
+    component: type[T],
+    values: Mapping[str, object],
+    *,
+    units: Mapping[str, str] | None = None,
+    **context: Any,
 ) -> T:
     """Make a component from raw values: texts with units become SI numbers, one number fills a vector.
 
@@ -107,7 +111,7 @@ def build(
     are no parameters (the vehicle, say).
     """
     specs = {spec.name: spec for spec in parameters_of(component)}
-    converted: dict[str, Any] = {}
+    converted: dict[str, Value] = {}
     for name, raw in values.items():
         if name not in specs:
             known = ", ".join(specs) or "none"
@@ -116,7 +120,7 @@ def build(
     return component(**context, **converted)
 
 
-def convert(spec: Parameter, raw: Any, units: Mapping[str, str] | None = None) -> Value:
+def convert(spec: Parameter, raw: object, units: Mapping[str, str] | None = None) -> Value:
     """Convert one raw value to the parameter's type and SI unit, and check it."""
     unit = spec.unit.format_map(units or {}) if "{" in spec.unit and units else spec.unit
     if unit != spec.unit:
@@ -129,7 +133,7 @@ def convert(spec: Parameter, raw: Any, units: Mapping[str, str] | None = None) -
     return value
 
 
-def _convert(spec: Parameter, raw: Any) -> Value:
+def _convert(spec: Parameter, raw: object) -> Value:
     default = spec.default
     if isinstance(default, bool):
         text = str(raw).lower() if isinstance(raw, (bool, str)) else ""
@@ -152,8 +156,8 @@ def _convert(spec: Parameter, raw: Any) -> Value:
     return int(number)
 
 
-def _vector(spec: Parameter, raw: Any) -> Axes:
-    parts: list[Any] = [*raw] if isinstance(raw, (list, tuple)) else [raw]
+def _vector(spec: Parameter, raw: object) -> Axes:
+    parts: list[object] = [*raw] if isinstance(raw, (list, tuple)) else [raw]
     if spec.rows_of:
         parts = [each for part in parts for each in (part if isinstance(part, (list, tuple)) else (part,))]  # pyright: ignore
         if len(parts) % spec.rows_of:

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from quadftc_model.arrays import (
     Array,
@@ -50,7 +50,7 @@ SLOW, FAST = 4.0, 8.0  # rad/s; body rate from which on a bias in body axes is l
 SPIN_NOISE = 1.0  # m/s²/sqrt(Hz); of the acceleration then
 _G = STANDARD_GRAVITY
 
-Covariance = Sequence[Any]  # pp, pv, pb, vv, vb, bb of p, v, b, (...) each
+Covariance = Sequence[Array]  # pp, pv, pb, vv, vb, bb of p, v, b, (...) each
 
 
 class PositionEstimatorInputs(NamedTuple):
@@ -188,7 +188,7 @@ def _spin(imu: ImuSample) -> Array:
     return where(imu.rate_valid, clip((length(imu.body_rate) - SLOW) / (FAST - SLOW), 0.0, 1.0), 0.0)
 
 
-def _propagated(covariance: Covariance, noise: Any, walk: Any, dt: Any) -> list[Any]:
+def _propagated(covariance: Covariance, noise: Array, walk: Array, dt: Array) -> list[Array]:
     """F P F' + Q over ``dt`` [s], F = [[1, dt, -dt²/2], [0, 1, -dt], [0, 0, 1]]."""
     pp, pv, pb, vv, vb, bb = covariance
     half = 0.5 * dt * dt
@@ -204,7 +204,7 @@ def _propagated(covariance: Covariance, noise: Any, walk: Any, dt: Any) -> list[
     ]
 
 
-def _gained(state: State, imu: ImuSample, off: Vector, cross: Sequence[Any], spread: Any) -> State:
+def _gained(state: State, imu: ImuSample, off: Vector, cross: Sequence[Array], spread: Array) -> State:
     """State after a measurement that is ``off`` (..., 3) by what was predicted.
 
     ``cross`` are the covariances (...) of p, v and b with what was predicted, ``spread`` is that of ``off``.

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from quadftc_model.arrays import (
+    Array,
     Quaternion,
     Scalar,
     Vector,
@@ -33,7 +33,7 @@ _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 MIN_COS_PITCH = 1e-6  # 1; the Euler rates of (4) are bounded by this close to +-90 deg of pitch
 
 
-def wrap(angle: Scalar) -> Any:
+def wrap(angle: Scalar) -> Array:
     """Wrap angles [rad] into [-pi, pi]; angles inside already are returned unchanged, bit for bit."""
     return angle - 2.0 * math.pi * namespace(angle).rint(angle / (2.0 * math.pi))
 
@@ -116,7 +116,7 @@ def rotation_between(p_xyzw: Quaternion, q_xyzw: Quaternion) -> Vector:
     return vector * where(zero, 2.0, where(w < 0.0, -angle, angle) / where(zero, 1.0, sine))
 
 
-def turned(q: Sequence[Any], vector: Sequence[Any]) -> list[Any]:
+def turned(q: Sequence[Array], vector: Sequence[Array]) -> list[Array]:
     """Components of a vector turned by a unit quaternion (a, w): v + 2 w a x v + 2 a x (a x v)."""
     x, y, z, w = q
     a, b, c = vector

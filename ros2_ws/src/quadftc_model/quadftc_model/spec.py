@@ -47,14 +47,14 @@ def _value(text: str) -> str | list[str]:
     return [each.strip() for each in inner.split(",")] if inner.strip() else []
 
 
-def format_spec(kind: str, values: Mapping[str, Any]) -> str:
+def format_spec(kind: str, values: Mapping[str, object]) -> str:
     """Write a specification that :func:`parse_spec` reads back; floating-point numbers survive exactly."""
     return " ".join([kind, *(f"{key}={_format(value)}" for key, value in values.items())])
 
 
-def _format(value: Any) -> str:
+def _format(value: object) -> str:
     if isinstance(value, (list, tuple)):
-        parts: list[Any] = [*value]
+        parts: list[object] = [*value]
         return ",".join(_format(part) for part in parts)
     if isinstance(value, bool):
         return str(value).lower()

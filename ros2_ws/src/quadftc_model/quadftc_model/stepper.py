@@ -28,11 +28,11 @@ def seconds(nanoseconds: int) -> float:
 class Law(Protocol[In_contra, Out_co]):
     """A law: explicit state, no clock, no memory of its own; its parameters are the fields of the object."""
 
-    def init(self, inputs: In_contra) -> Any:
+    def init(self, inputs: In_contra) -> object:
         """Return the state at the first sample; states keep their structure from here on."""
         ...
 
-    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[Any, Out_co]:
+    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[object, Out_co]:
         """Advance by ``dt`` [s] to the sample ``inputs``; ``dt`` is 0 at the first sample."""
         ...
 
@@ -40,23 +40,23 @@ class Law(Protocol[In_contra, Out_co]):
 class Runner(Protocol[In_contra, Out_co]):
     """Runs a law for one vehicle, in NumPy or in C; states are its own, `tree` shows them."""
 
-    def first(self, inputs: In_contra) -> tuple[Any, Out_co]:
+    def first(self, inputs: In_contra) -> tuple[object, Out_co]:
         """Return state and output at the first sample."""
         ...
 
-    def resumed(self, inputs: In_contra, words: Any) -> tuple[Any, Out_co]:
+    def resumed(self, inputs: In_contra, words: object) -> tuple[object, Out_co]:
         """Return state and output at a sample from which the law resumes by last words."""
         ...
 
-    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[Any, Out_co]:
+    def step(self, state: object, inputs: In_contra, dt: float) -> tuple[object, Out_co]:
         """Advance by ``dt`` [s] to a sample."""
         ...
 
-    def tree(self, state: Any) -> Any:
+    def tree(self, state: object) -> Any:
         """Return the nested tuples of a state."""
         ...
 
-    def configure(self, law: Any) -> bool:
+    def configure(self, law: object) -> bool:
         """Go on with another law of the same structure, from the same states; False: it cannot."""
         ...
 
@@ -64,29 +64,29 @@ class Runner(Protocol[In_contra, Out_co]):
 class NumpyRunner(Generic[In, Out]):
     """Runs a law in NumPy: the reference."""
 
-    def __init__(self, law: Any) -> None:
-        self._law = law
+    def __init__(self, law: object) -> None:
+        self._law: Any = law
 
-    def first(self, inputs: In) -> tuple[Any, Out]:
+    def first(self, inputs: In) -> tuple[object, Out]:
         """Return state and output at the first sample."""
         with np.errstate(all="ignore"):
             return self._law.step(self._law.init(inputs), inputs, 0.0)
 
-    def resumed(self, inputs: In, words: Any) -> tuple[Any, Out]:
+    def resumed(self, inputs: In, words: object) -> tuple[object, Out]:
         """Return state and output at a sample from which the law resumes by last words."""
         with np.errstate(all="ignore"):
             return self._law.step(self._law.resumed(inputs, words), inputs, 0.0)
 
-    def step(self, state: Any, inputs: In, dt: float) -> tuple[Any, Out]:
+    def step(self, state: object, inputs: In, dt: float) -> tuple[object, Out]:
         """Advance by ``dt`` [s] to a sample."""
         with np.errstate(all="ignore"):
             return self._law.step(state, inputs, dt)
 
-    def tree(self, state: Any) -> Any:
+    def tree(self, state: object) -> Any:
         """Return the state."""
         return state
 
-    def configure(self, law: Any) -> bool:
+    def configure(self, law: object) -> bool:
         """Go on with another law of the same kind."""
         if type(law) is not type(self._law):
             return False
@@ -94,7 +94,7 @@ class NumpyRunner(Generic[In, Out]):
         return True
 
 
-Engine = Callable[[Any], Runner[Any, Any]]  # what runs a law
+Engine = Callable[[object], Runner[Any, Any]]  # what runs a law
 
 
 class Stepper(Generic[In, Out]):
@@ -114,7 +114,7 @@ class Stepper(Generic[In, Out]):
     def law(self, law: Law[In, Out]) -> None:
         run = self._run_law(law)
         if not (hasattr(self, "_runner") and self._runner.configure(run)):
-            self._runner: Runner[Any, Any] = self._engine(run)
+            self._runner: Runner[In, Any] = self._engine(run)
         self._law = law
 
     def replace_law(self, law: Law[In, Out], example: In) -> None:
@@ -124,13 +124,13 @@ class Stepper(Generic[In, Out]):
         state = None if self._state is None else self._runner.tree(self._state)
         self._law, self._runner, self._state = law, quick(run), state
 
-    def _run_law(self, law: Any) -> Any:
+    def _run_law(self, law: Any) -> object:
         """Return what is run of a law."""
         return law
 
     def reset(self) -> None:
         """Forget the state; the next sample is the first."""
-        self._state: Any = None
+        self._state: object = None
         self.stamp_ns: int | None = None
 
     @property
@@ -138,7 +138,7 @@ class Stepper(Generic[In, Out]):
         """State of the law at the last sample; None before the first."""
         return None if self._state is None else self._runner.tree(self._state)
 
-    def begin(self, stamp_ns: int, inputs: In, words: Any = None) -> Out:
+    def begin(self, stamp_ns: int, inputs: In, words: object = None) -> Out:
         """Start at a sample [ns]; from what another law has said last, if that is given."""
         begun = self._runner.first(inputs) if words is None else self._runner.resumed(inputs, words)
         return self._keep(stamp_ns, begun)
@@ -164,7 +164,7 @@ class Stepper(Generic[In, Out]):
             return self.begin(stamp_ns, inputs)
         return self._keep(stamp_ns, self._runner.step(self._state, inputs, dt))
 
-    def _keep(self, stamp_ns: int, stepped: tuple[Any, Any]) -> Out:
+    def _keep(self, stamp_ns: int, stepped: tuple[object, Any]) -> Out:
         """Keep the state; return what is said."""
         self._state, output = stepped
         self.stamp_ns = stamp_ns

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
 
 _DEG = math.pi / 180.0
 
@@ -30,7 +29,7 @@ _SPELLINGS: dict[str, dict[str, float]] = {
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf)\s*(.*?)\s*$")
 
 
-def quantity(value: Any, unit: str) -> float:
+def quantity(value: object, unit: str) -> float:
     """Return a number (SI already), or a text such as ``"1 deg"``, ``"20ms"``, ``"3"``, in the SI ``unit``.
 
     A unit that is not in this module's table takes numbers and its own name only.

@@ -281,7 +281,7 @@ def _load(path: Path, changed_ns: int) -> Vehicle:
 
 
 def _not_at_least(
-    owner: Any, prefix: str, names: tuple[str, ...], least: float, expected: str
+    owner: object, prefix: str, names: tuple[str, ...], least: float, expected: str
 ) -> Iterator[Problem]:
     for name in names:
         value = getattr(owner, name)

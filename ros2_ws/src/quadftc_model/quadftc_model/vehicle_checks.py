@@ -6,7 +6,7 @@ The bounds are wide: every published multirotor is well within them, a slip of u
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ def _problem_of(check: Callable[[Vehicle], None], vehicle: Vehicle) -> Problem |
     return None
 
 
-def _refuse(key: str, value: Any, why: str) -> None:
+def _refuse(key: str, value: float | NDArray[np.float64], why: str) -> None:
     shown = f"{value:g}" if isinstance(value, float) else str(np.asarray(value).tolist())
     raise _ImpossibleError(key, f"= {shortened(shown)}: {why}")
 

@@ -17,7 +17,7 @@ LARGEST = 1e9  # in SI; no number of a vehicle is larger
 class Key(NamedTuple):
     """One key of a table."""
 
-    kind: Any  # ``str``, ``float`` or the shape of an array, -1 being any length
+    kind: type[str] | type[float] | tuple[int, ...]  # the last: shape of an array, -1 being any length
     unit: str  # SI; empty: a text
     doc: str
 
@@ -54,7 +54,7 @@ KEYS: dict[str, dict[str, Key]] = {
         "imu_position": Key((3,), "m", "of the IMU from the centre of mass"),
     },
 }
-_EXAMPLES = {(3,): "[x, y, z]", (-1, 2): "[[x, y], [x, y], ...]", (-1,): "[1, -1, ...]"}
+_EXAMPLES: dict[object, str] = {(3,): "[x, y, z]", (-1, 2): "[[x, y], [x, y], ...]", (-1,): "[1, -1, ...]"}
 
 
 class Problem(NamedTuple):
@@ -69,7 +69,7 @@ class Problem(NamedTuple):
         return f"{self.key}{' ' if self.text.startswith('=') else ': '}{self.text}"
 
 
-def read_section(table: Mapping[str, Any], section: str) -> tuple[dict[str, Any], list[Problem]]:
+def read_section(table: Mapping[str, object], section: str) -> tuple[dict[str, Any], list[Problem]]:
     """Return the values of a table by key, and what is wrong with it."""
     keys, prefix = KEYS[section], f"{section}." if section else ""
     values: dict[str, Any] = {}
@@ -99,7 +99,7 @@ def _hint(name: str, section: str) -> str:
     return nearest(name, known) or f"; known are {', '.join(filter(None, known))}"
 
 
-def _expected(value: Any, key: Key) -> str:
+def _expected(value: object, key: Key) -> str:
     """Say what a key takes."""
     if key.kind is str:
         return "a text"
@@ -111,14 +111,15 @@ def _expected(value: Any, key: Key) -> str:
     return f"finite numbers {_EXAMPLES[key.kind]}{unit}, none beyond {LARGEST:g}"
 
 
-def _read(value: Any, kind: Any) -> Any:
+def _read(value: object, kind: type | tuple[int, ...]) -> str | float | NDArray[np.float64] | None:
     """Return a text, a number or an array as the vehicle holds it; None if it is none."""
+    if isinstance(kind, tuple):
+        return _array_of(value, kind)
     if kind is str:
         return value if isinstance(value, str) else None
-    if kind is float:
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return float(value) if is_number and abs(value) <= LARGEST else None
-    return _array_of(value, kind)
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value) if abs(value) <= LARGEST else None
+    return None
 
 
 def shortened(text: str) -> str:
@@ -126,7 +127,7 @@ def shortened(text: str) -> str:
     return text if len(text) <= 100 else f"{text[:97]}..."
 
 
-def _array_of(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
+def _array_of(value: object, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
