@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from scipy.signal import lfilter  # type: ignore[import-untyped]
 
 from quadftc_compile.engine import engine_named
 from quadftc_compile.wiring import BLOCK, flown_by
+from quadftc_control.guidance import GuidanceOutput
 from quadftc_flight.closed_loop import loop_of
 from quadftc_flight.loop import LoopOutput
 from quadftc_flight.loop_draws import LoopDraws
@@ -60,7 +61,7 @@ def fly(flight: RandomFlight) -> Flown:
     loop, count = loop_of(scenario, scenario.scheme(None)), sample_count(scenario.duration, scenario.rate)
     draws = LoopDraws(loop, scenario.seed, count)
     flown = flown_by(engine_named("c"), loop, LoopDraws.example(loop))
-    parts: list[tuple[Any, ...]] = []
+    parts: list[tuple[Floats, ...]] = []
     for begin in range(0, count, BLOCK):
         rows = min(BLOCK, count - begin)
         parts.append(_columns(flown.run(draws.next(rows), rows)))
@@ -77,11 +78,13 @@ def fly(flight: RandomFlight) -> Flown:
     )
 
 
-def _columns(output: LoopOutput) -> tuple[Any, ...]:
+def _columns(output: LoopOutput) -> tuple[Floats, ...]:
     """The truth, and what was said, of a block; copies, as the next block is written over it."""
     motion, sample, said = output.motion, output.faulty.sample, output.said
-    space, estimate = motion.flight, said.guidance.estimate
+    space, guided = motion.flight, said.guidance
     assert space is not None
+    assert isinstance(guided, GuidanceOutput)
+    estimate = guided.estimate
     wanted = (
         *(motion.body_rate, space.q_xyzw, space.position, space.velocity, space.speeds),
         *(sample.body_rate, sample.specific_force, sample.q_xyzw),

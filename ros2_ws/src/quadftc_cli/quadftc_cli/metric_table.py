@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
 from quadftc_cli.screen import plain_table
+from quadftc_flight.diagnosis_metrics.columns import Metrics
 from quadftc_flight.metrics import look_up
 from quadftc_model.samples import AXES
 from quadftc_report.metric_kinds import TINY, describe
@@ -40,7 +40,7 @@ def heading(path: str) -> str:
     return textwrap.fill(where + describe(path)[1].heading, HEADING, break_long_words=False)
 
 
-def text(metrics: Mapping[str, Any], path: str, axis: str = "") -> str:
+def text(metrics: Metrics, path: str, axis: str = "") -> str:
     """Write a metric as the page does, a tiny one as in its summary; a dash where there is none."""
     try:
         found = look_up(metrics, f"{path}.{axis}" if axis else path)
@@ -63,7 +63,7 @@ def fitting(tables: Iterator[Table], screen: Console) -> Table:
     return table
 
 
-def diagnosis_table(metrics: Mapping[str, Mapping[str, Any]], screen: Console) -> Table:
+def diagnosis_table(metrics: Mapping[str, Metrics], screen: Console) -> Table:
     """Tabulate faults, misses, delays and false alarms, by name of a run, as wide as the screen.
 
     Columns without any number are left out: of an observer that names no sensor, of a flight without faults.
@@ -81,7 +81,7 @@ def diagnosis_table(metrics: Mapping[str, Mapping[str, Any]], screen: Console) -
     )
 
 
-def axis_table(metrics: Mapping[str, Any], paths: Sequence[str]) -> Table:
+def axis_table(metrics: Metrics, paths: Sequence[str]) -> Table:
     """Tabulate metrics of one run, a row for each axis."""
     table = plain_table(["axis"], map(heading, paths))
     for axis in AXES:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from quadftc_flight.diagnosis_metrics.columns import Metrics
 from quadftc_flight.metrics import entries, known_metrics, look_up
 from quadftc_flight.scenario import Check, Problem, Scenario, problems_of, read_document
 from quadftc_model.samples import AXES
@@ -52,7 +53,7 @@ def _read_checks(file: Path) -> tuple[Check, ...]:
 def _parse_check(spec: str) -> Check:
     metric, values = parse_spec(spec)
     try:
-        given = {key: float(value) if key in BOUNDS else value for key, value in values.items()}
+        given = {key: float(str(value)) if key in BOUNDS else value for key, value in values.items()}
         return Check.model_validate({"metric": metric, **given})
     except ValidationError as error:
         first = error.errors()[0]
@@ -85,13 +86,13 @@ def _wrong_checks(scenario: Scenario) -> Iterator[Problem]:
             yield Problem((*path, key), message)
 
 
-def problem_of(check: Check, metrics: Mapping[str, Any]) -> tuple[str, str] | None:
+def problem_of(check: Check, metrics: Metrics) -> tuple[str, str] | None:
     """Return the wrong key of a check and what is wrong with it, held against the metrics that there are."""
     try:
         found = look_up(metrics, check.metric)
     except KeyError as error:
         return "metric", str(error.args[0])
-    has_axes = isinstance(found, dict) and set(cast("dict[str, Any]", found)) == set(AXES)
+    has_axes = isinstance(found, dict) and set(found) == set(AXES)
     if check.axis is not None and not has_axes:
         return "axis", f"'{check.metric}' has no axes"
     if not has_axes and found is not None and not isinstance(found, (int, float)):
@@ -99,12 +100,12 @@ def problem_of(check: Check, metrics: Mapping[str, Any]) -> tuple[str, str] | No
     return None
 
 
-def check_results(metrics: Mapping[str, Any], checks: Iterable[Check]) -> list[CheckResult]:
+def check_results(metrics: Metrics, checks: Iterable[Check]) -> list[CheckResult]:
     """Hold checks against metrics: one result for each check and axis. What has no value fails."""
     results: list[CheckResult] = []
     for check in checks:
         try:
-            found: Any = look_up(metrics, check.metric)
+            found = look_up(metrics, check.metric)
         except KeyError:
             found = None
         low = -math.inf if check.above is None else check.above

@@ -92,7 +92,7 @@ def loop_of(scenario: Scenario, scheme: Scheme) -> ClosedLoop:
 
 def plant_of(scenario: Scenario) -> Plant:
     """Return the vehicle of a scenario in its disturbances, and in free flight in its winds."""
-    changes: dict[str, Any] = {"disturbances": tuple(part.law for part in scenario.disturbances)}
+    changes: dict[str, object] = {"disturbances": tuple(part.law for part in scenario.disturbances)}
     if scenario.plant.flies:
         changes["winds"] = tuple(part.law for part in scenario.winds)
     return dataclasses.replace(scenario.plant, **changes)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_flight.reported import note_reports, reports_from
+from quadftc_model.arrays import AnyArray
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import ABSENT
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
@@ -31,7 +32,9 @@ DIAGNOSIS = "diagnosis"  # the topic, whose messages hold until the next one
 ROTORS = "rotors/status"
 
 
-def _column(topic: str, field: str = "vector", unknown: Any = np.nan, of_rotors: bool = False) -> Any:
+def _column(
+    topic: str, field: str = "vector", unknown: float | np.generic = np.nan, of_rotors: bool = False
+) -> Any:
     """Three numbers a row, of which a recording tells by a topic; ``unknown`` where nothing is known.
 
     Those ``of_rotors`` are as many as there are rotors, and none on the test stand.
@@ -40,7 +43,7 @@ def _column(topic: str, field: str = "vector", unknown: Any = np.nan, of_rotors:
     return dataclasses.field(metadata=metadata)
 
 
-def _rotor_column(topic: str, field: str = "vector", unknown: Any = np.nan) -> Any:
+def _rotor_column(topic: str, field: str = "vector", unknown: float | np.generic = np.nan) -> Any:
     """As `_column`, with one number for each rotor."""
     return _column(topic, field, unknown, of_rotors=True)
 
@@ -117,9 +120,9 @@ VECTORS = tuple(
 )
 
 
-def columns_by_topic(flight: Flight) -> dict[str, dict[str, NDArray[Any]]]:
+def columns_by_topic(flight: Flight) -> dict[str, dict[str, NDArray[np.generic]]]:
     """Return the columns by the topic and the field that tell of them."""
-    found: dict[str, dict[str, NDArray[Any]]] = {}
+    found: dict[str, dict[str, NDArray[np.generic]]] = {}
     for name, column in _COLUMNS.items():
         topic, field = column["source"]
         found.setdefault(topic, {})[field] = getattr(flight, name)
@@ -140,7 +143,7 @@ def unknown_flight(stamp_ns: Int[NDArray[np.int64], " n"], rotors: int = 0) -> F
     )
 
 
-def _unknown(column: Mapping[str, Any], rotors: int) -> NDArray[Any]:
+def _unknown(column: Mapping[str, Any], rotors: int) -> AnyArray:
     """Return a row of a column of which nothing is known."""
     unknown = column["unknown"]
     return np.resize(unknown, rotors) if column["of_rotors"] else unknown
@@ -210,7 +213,7 @@ def imu_readings_from_bag(bag: Bag, topic: str, stamp_ns: Int[NDArray[np.int64],
     return ImuReadings(angles, body_rate)
 
 
-def join_rows(series: Series, field: str, stamp_ns: NDArray[np.int64], unknown: NDArray[Any]) -> NDArray[Any]:
+def join_rows(series: Series, field: str, stamp_ns: NDArray[np.int64], unknown: AnyArray) -> AnyArray:
     """Return a field (n, k) of the first message with each stamp (n,); ``unknown`` (k,) without one."""
     column = np.tile(unknown, (len(stamp_ns), 1))
     stamps, first = np.unique(series.stamp_ns, return_index=True)
@@ -220,9 +223,7 @@ def join_rows(series: Series, field: str, stamp_ns: NDArray[np.int64], unknown: 
     return column
 
 
-def _join_topic(
-    bag: Bag, topic: str, field: str, stamp_ns: NDArray[np.int64], unknown: NDArray[Any]
-) -> NDArray[Any]:
+def _join_topic(bag: Bag, topic: str, field: str, stamp_ns: NDArray[np.int64], unknown: AnyArray) -> AnyArray:
     nothing = np.tile(unknown, (len(stamp_ns), 1))
     if not has_messages(bag, topic):
         return nothing

@@ -6,7 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 
@@ -45,7 +45,7 @@ def write_junit(path: Path, suite: str, cases: Sequence[Case], duration: float |
     return write_file(path, ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
 
 
-def check_cases(group: str, checks: Iterable[Mapping[str, Any]]) -> list[Case]:
+def check_cases(group: str, checks: Iterable[Mapping[str, object]]) -> list[Case]:
     """Return the cases of a run, one for each check of its summary; without checks, that it was flown."""
     cases: list[Case] = []
     for check in checks:

@@ -11,8 +11,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -220,7 +220,7 @@ def _parameters(bag: Bag, warnings: list[str]) -> Parameters:
     return {}
 
 
-def _scenario(bag: Bag, parameters: Mapping[str, Mapping[str, Any]], flight: Flight) -> Scenario:
+def _scenario(bag: Bag, parameters: Parameters, flight: Flight) -> Scenario:
     """Describe the flight as a scenario does, as far as the bag tells."""
     period = _period(flight.time)
     scheme = {

@@ -60,7 +60,7 @@ class Said(NamedTuple):
 
     estimate: GuardedOutput[FaultEstimate]
     disturbance: GuardedOutput[Vector]  # [rad/s²]
-    guidance: Any  # of the reference or of the position controller
+    guidance: GuidanceOutput | AttitudeCommand  # of the position controller or of the reference
     attitude: GuardedOutput[AttitudeLoopOutput]
 
     @property
@@ -72,14 +72,14 @@ class Said(NamedTuple):
 class LoopState(NamedTuple):
     """States of the laws, and what goes from one sample to the next."""
 
-    vehicle: Any
-    speeds: Any  # of the rotors at the samples that are inside the IMU
-    injections: tuple[Any, ...]
-    clock: Any
-    observer: Any
-    disturbance_observer: Any
-    guidance: Any
-    attitude: Any
+    vehicle: object
+    speeds: object  # of the rotors at the samples that are inside the IMU
+    injections: tuple[object, ...]
+    clock: object
+    observer: object
+    disturbance_observer: object
+    guidance: object
+    attitude: object
     faulty: Faulty  # the last sample that left the IMU
     said: Said
 
@@ -172,7 +172,7 @@ class ClosedLoop:
     @property
     def laws(self) -> Mapping[str, Any]:
         """The laws by name."""
-        found: dict[str, Any] = {"vehicle": self.vehicle, "clock": self.clock}
+        found: dict[str, object] = {"vehicle": self.vehicle, "clock": self.clock}
         if self.flies:
             found["speeds"] = DelayLine(self.vehicle.plant.first_command, self.vehicle.imu.delay)
             found["trust"] = RotorTrust(rotors=self.vehicle.plant.command_size)
@@ -183,10 +183,10 @@ class ClosedLoop:
     def init(self, calls: Calls) -> LoopState:
         """Return a state to begin with: no sample has come, and the rotors have their first command."""
         said = Said(*(said_at_first(each) for each in list(self.laws.values())[-4:]))
-        first: Any = said.attitude.said
+        first = said.attitude.said
         speeds = self.vehicle.plant.first_command if self.flies else None
         nothing = first.output._replace(torque=np.zeros(3))
-        attitude: Any = said.attitude._replace(said=AttitudeLoopOutput(nothing, speeds))
+        attitude = said.attitude._replace(said=AttitudeLoopOutput(nothing, speeds))
         return LoopState(
             vehicle=calls.init("vehicle"),
             speeds=calls.init("speeds") if self.flies else None,

@@ -9,7 +9,6 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,10 @@ from quadftc_bags.bag_file import BagFile
 from quadftc_bags.bag_format import TopicRecord
 from quadftc_bags.cdr.arrays import encode_topic
 from quadftc_bags.interfaces import load_interface
-from quadftc_flight.closed_loop import FlightRecord, Rows
+from quadftc_flight.closed_loop import FlightRecord, Rows, Watch
 from quadftc_flight.flight import DIAGNOSIS, Flight, columns_by_topic
-from quadftc_flight.loop import LoopOutput
-from quadftc_model.arrays import rows_of
+from quadftc_flight.loop import ClosedLoop, LoopOutput
+from quadftc_model.arrays import AnyArray, Array, rows_of
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import ABSENT
 from quadftc_ros.diagnosis_wire import DiagnosisWire
@@ -30,15 +29,17 @@ from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, TOPICS
 
 CHUNK = 1024 * 1024  # bytes
 
+Columns = dict[str, AnyArray]  # arrays (n, ...) of any kind by field
+Fields = Mapping[str, AnyArray | list[str] | str]  # those of messages, and what is the same in all
 Message = tuple[int, int, bytes]  # stamp [ns], channel, data
 
 
 class BagRecord(FlightRecord):
     """A flight with what a bag holds besides: samples of the sensors, and the rotor speeds commanded."""
 
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self._parts: dict[str, list[dict[str, NDArray[Any]]]] = {}  # by topic; with their rows of the flight
+    def __init__(self, loop: ClosedLoop, epoch_ns: int, count: int, watch: Watch | None = None) -> None:
+        super().__init__(loop, epoch_ns, count, watch)
+        self._parts: dict[str, list[Columns]] = {}  # by topic; with their rows of the flight
 
     def note(self, begin: int, output: LoopOutput) -> None:
         """Note what was put out from a row on, arrays (n, ...)."""
@@ -55,14 +56,14 @@ class BagRecord(FlightRecord):
             fields = {"position": place.position[there], "velocity": place.velocity[there]}
             self._keep("position/data", first + there, fields)
 
-    def parts(self) -> dict[str, dict[str, NDArray[Any]]]:
+    def parts(self) -> dict[str, Columns]:
         """Return the quantities of all messages, and their rows of the flight, by topic."""
         return {
             topic: {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
             for topic, parts in self._parts.items()
         }
 
-    def _keep(self, topic: str, rows: Rows, fields: Mapping[str, Any]) -> None:
+    def _keep(self, topic: str, rows: Rows, fields: Mapping[str, Array]) -> None:
         copied = {name: np.array(values) for name, values in {"rows": rows, **fields}.items()}
         self._parts.setdefault(topic, []).append(copied)
 
@@ -92,7 +93,7 @@ def write_messages(file: BagFile, messages: Iterable[Message]) -> None:
         file.write(channel, stamp_ns, stamp_ns, data)
 
 
-def encoded(topic: str, stamp_ns: NDArray[np.int64], fields: Mapping[str, Any]) -> list[bytes]:
+def encoded(topic: str, stamp_ns: NDArray[np.int64], fields: Fields) -> list[bytes]:
     """Return the messages of a topic of the table, by their stamps (n,) [ns] and fields."""
     row = TOPICS[topic]
     types = get_types_from_msg(load_interface(row.type_name).text, row.type_name)
@@ -100,7 +101,7 @@ def encoded(topic: str, stamp_ns: NDArray[np.int64], fields: Mapping[str, Any]) 
     return encode_topic(types, row.type_name, given, len(stamp_ns))
 
 
-def imu_fields(sample: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def imu_fields(sample: Columns) -> Columns:
     """Return the fields of IMU messages by the columns of their samples."""
     return {
         "orientation_xyzw": sample["q_xyzw"],
@@ -112,7 +113,7 @@ def imu_fields(sample: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     }
 
 
-def _covariance(absent: NDArray[np.bool_], size: int = 9) -> NDArray[Any]:
+def _covariance(absent: NDArray[np.bool_], size: int = 9) -> NDArray[np.float64]:
     """Return covariances (n, size) that are unknown, or say that what they are of is absent."""
     values = np.zeros((len(absent), size))
     values[:, 0 if size == 9 else 21] = np.where(absent, ABSENT, 0.0)
@@ -122,7 +123,7 @@ def _covariance(absent: NDArray[np.bool_], size: int = 9) -> NDArray[Any]:
 def _topics(record: BagRecord) -> Iterator[tuple[str, NDArray[np.int64], list[bytes]]]:
     """Yield the name of each topic, and stamps [ns] and bytes of its messages."""
     flight = record.flight()
-    given: Mapping[str, Any]
+    given: Fields
     parts = record.parts()
     for topic, given in _sensed(parts):
         stamps = flight.stamp_ns[parts[topic]["rows"]]
@@ -134,7 +135,7 @@ def _topics(record: BagRecord) -> Iterator[tuple[str, NDArray[np.int64], list[by
         known = np.any([_is_known(column) for column in fields.values()], axis=0)
         if topic != DIAGNOSIS and known.any():
             completed = _completed(topic, flight, fields).items()
-            given = {name: each if name == "name" else each[known] for name, each in completed}
+            given = {name: each if isinstance(each, list) else each[known] for name, each in completed}
             yield topic, flight.stamp_ns[known], encoded(topic, flight.stamp_ns[known], given)
     if record.reports:
         write = DiagnosisWire()
@@ -142,22 +143,22 @@ def _topics(record: BagRecord) -> Iterator[tuple[str, NDArray[np.int64], list[by
         yield DIAGNOSIS, stamps, [write(report) for report in record.reports]
 
 
-def _is_known(column: NDArray[Any]) -> NDArray[np.bool_]:
+def _is_known(column: NDArray[np.generic]) -> NDArray[np.bool_]:
     """Return (n,) whether a row says something."""
     is_float = column.dtype.kind == "f"  # of what is none the others of its topic tell
     return np.asarray(~np.isnan(column).all(axis=1) if is_float else np.zeros(len(column)), np.bool_)
 
 
-def _completed(topic: str, flight: Flight, fields: Mapping[str, Any]) -> dict[str, Any]:
+def _completed(topic: str, flight: Flight, fields: Columns) -> dict[str, AnyArray | list[str]]:
     """Add to the fields of a topic what its readers need besides."""
-    given = dict(fields)
+    given: dict[str, AnyArray | list[str]] = {**fields}
     if topic == "fault/status":
         given["estimate"] = flight.fault_estimate
     elif topic == "rotors/fault":
         given["speed_limit"] = np.full_like(flight.rotor_effectiveness, np.inf)
         given["stuck"] = np.zeros(flight.rotor_effectiveness.shape, np.bool_)
     elif topic == "rotors/speed":
-        given = _named_rotors(given)
+        given = _named_rotors(fields)
     elif topic == "plant/odometry":
         given["pose.pose.orientation_xyzw"] = np.asarray(quaternion_from_euler(flight.angles))
         given["twist.twist.angular"] = flight.body_rate
@@ -167,7 +168,7 @@ def _completed(topic: str, flight: Flight, fields: Mapping[str, Any]) -> dict[st
     return given
 
 
-def _sensed(parts: Mapping[str, dict[str, NDArray[Any]]]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _sensed(parts: Mapping[str, Columns]) -> Iterator[tuple[str, Fields]]:
     """Yield what sensors measured and the rotors were told, by topic and field."""
     yield "imu/data", imu_fields(parts["imu/data"])
     if "rotors/command" in parts:
@@ -180,7 +181,7 @@ def _sensed(parts: Mapping[str, dict[str, NDArray[Any]]]) -> Iterator[tuple[str,
         yield "position/data", fields | {"child_frame_id": EARTH_FRAME}
 
 
-def _named_rotors(fields: dict[str, Any]) -> dict[str, Any]:
+def _named_rotors(fields: Columns) -> dict[str, AnyArray | list[str]]:
     """Add the names of the rotors to their speeds."""
     count = fields["velocity"].shape[1]
-    return fields | {"name": [f"rotor_{number}" for number in range(1, count + 1)]}
+    return {**fields, "name": [f"rotor_{number}" for number in range(1, count + 1)]}

@@ -6,7 +6,6 @@ import platform
 import time
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -17,11 +16,11 @@ from quadftc_flight.graph.plan import GraphError, GraphPlan
 from quadftc_flight.loop_bag import BagRecord, write_loop_bag
 from quadftc_flight.run_files import commit, run_name, write_beside, write_summary
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
-from quadftc_flight.summary import summary
+from quadftc_flight.summary import Summary, summary
 from quadftc_model.versions import software_version
 
 
-def run_loop(scenario: Scenario, scheme: Scheme, out: Path, engine: str) -> dict[str, Any]:
+def run_loop(scenario: Scenario, scheme: Scheme, out: Path, engine: str) -> Summary:
     """Fly one scheme of a scenario; return the summary that is written beside the bag.
 
     ``out`` is the directory of all runs. A GraphError says if the bag cannot be written.

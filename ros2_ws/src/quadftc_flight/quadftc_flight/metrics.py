@@ -9,11 +9,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from quadftc_flight.diagnosis_metrics.columns import Figure, Floats, Mask, largest, mean, number, rms
+from quadftc_flight.diagnosis_metrics.columns import Figure, Floats, Mask, Metrics, largest, mean, number, rms
 from quadftc_flight.diagnosis_metrics.verdicts import diagnosis_metrics
 from quadftc_flight.diagnosis_metrics.which_rotor import rotor_metrics
 from quadftc_flight.diagnosis_metrics.which_sensor import JudgedSensors, attitude_error, sensor_metrics
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 PerAxis = dict[str, float | None]
+Json: TypeAlias = "dict[str, Json] | list[Json] | str | float | bool | None"
 
 SETTLING_TIME = 0.2  # s; how long after an onset or an end the estimate may be off
 LOST = math.radians(60.0)  # rad; a vehicle that is tilted or off so far is lost
@@ -38,7 +39,7 @@ def flight_metrics(
     windows: Sequence[FaultWindow],
     events: Sequence[FaultEvent] | None = None,
     rotor_events: Sequence[FaultEvent] = (),
-) -> dict[str, Any]:
+) -> Metrics:
     """Compute every metric, ready for JSON; ``windows`` divide the time into inside and outside a fault.
 
     ``events`` are the faults that the diagnosis is judged by; default: those of the windows. In free flight
@@ -86,7 +87,7 @@ def known_metrics(
     events: Sequence[FaultEvent] = (),
     rotor_events: Sequence[FaultEvent] = (),
     rotors: int = 0,
-) -> dict[str, Any]:
+) -> Metrics:
     """Return the metrics of a flight with that many fault windows and these events, for their names.
 
     In free flight it has so many ``rotors``.
@@ -100,7 +101,7 @@ def flight_of_nothing(rotors: int = 0) -> Flight:
     return dataclasses.replace(unknown_flight(np.arange(2), rotors), time=np.array([-2.0, -1.0]))
 
 
-def look_up(metrics: Any, path: str) -> Any:
+def look_up(metrics: Json, path: str) -> Json:
     """Return the metric of a dotted path, such as ``fault_windows.0.tracking_mean_deg.roll``, or KeyError."""
     place = metrics
     for word in path.split("."):
@@ -113,12 +114,12 @@ def look_up(metrics: Any, path: str) -> Any:
     return place
 
 
-def entries(place: Any) -> Iterator[tuple[str, Any]]:
+def entries(place: Json) -> Iterator[tuple[str, Json]]:
     """Yield the words that a path may go on with, and what they lead to."""
     if isinstance(place, dict):
-        yield from cast("dict[str, Any]", place).items()
+        yield from place.items()
     elif isinstance(place, list):
-        yield from ((str(index), item) for index, item in enumerate(cast("list[Any]", place)))
+        yield from ((str(index), item) for index, item in enumerate(place))
 
 
 def _tilt(angles: Floats) -> Floats:
@@ -138,7 +139,7 @@ def lost_rows(flight: Flight) -> Mask:
     return np.asarray(tilted | np.any(off, axis=1), np.bool_)
 
 
-def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Floats) -> dict[str, Any]:
+def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Floats) -> Metrics:
     rows = _within(time, [window])
     return {
         "start": window.start,
@@ -155,7 +156,7 @@ def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Float
     }
 
 
-def _effort(flight: Flight) -> dict[str, Any]:
+def _effort(flight: Flight) -> Metrics:
     """Torque: root mean square [N m], total variation a second (chattering) [N m/s], share of cut samples."""
     known = np.all(np.isfinite(flight.torque), axis=1)
     torque = flight.torque[known]

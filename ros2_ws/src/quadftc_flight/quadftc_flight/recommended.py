@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 from quadftc_compile.engine import CEngine
 from quadftc_control.guidance import live_guidance_from
@@ -48,7 +47,7 @@ schemes:
 """
 
 
-def recommended_laws() -> list[Any]:
+def recommended_laws() -> list[object]:
     """Return the laws of the demo and of ``quadftc live``; those that take longest to compile come first."""
     live = [parse_scenario(text, "live") for text in (HOVER, LEVEL)]
     flown = [*live, *(load_scenario(find_scenario(name)) for name in DEMO)]
@@ -57,7 +56,7 @@ def recommended_laws() -> list[Any]:
     return [*laws, live_guidance_from(steered), SetpointFilter()]
 
 
-def _laws(scenario: Scenario, scheme: str) -> list[Any]:
+def _laws(scenario: Scenario, scheme: str) -> list[object]:
     return list(loop_of(scenario, scenario.scheme(scheme)).laws.values())
 
 

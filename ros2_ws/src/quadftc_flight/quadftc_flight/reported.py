@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from quadftc_fdi.diagnosis import COMPONENTS, REPORT_PERIOD_NS, report_flight
 from quadftc_fdi.fault_observer import FaultObserver
-from quadftc_model.arrays import rows_of
+from quadftc_model.arrays import AnyArray, alike, rows_of
 from quadftc_model.samples import HEALTHY, ComponentFault, DiagnosisReport, FaultEstimate
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from quadftc_flight.flight import Flight
 
 # of an element that the observer does not watch, and of one that is healthy
-UNWATCHED: dict[str, Any] = {
+UNWATCHED: dict[str, float | np.generic] = {
     "state": np.uint8(255),
     "estimate": np.nan,
     "std_dev": np.nan,
@@ -38,7 +38,7 @@ class ReportLog:
     def __init__(self, law: FaultObserver) -> None:
         self.reports: list[DiagnosisReport] = []
         self._law = law
-        self._last: tuple[Any, FaultEstimate] | None = None  # stamp [ns] and estimate, (1, ...)
+        self._last: tuple[NDArray[np.int64], FaultEstimate] | None = None  # stamp [ns] and estimate, (1, ...)
 
     def note(self, stamp_ns: NDArray[np.int64], estimates: FaultEstimate) -> None:
         """Note the estimates of further samples [ns], (n, ...)."""
@@ -58,8 +58,7 @@ def joined(parts: Sequence[Any]) -> Any:
     first = parts[0]
     if isinstance(first, tuple):
         inside = [joined(each) for each in zip(*parts, strict=True)]
-        kind: Any = type(cast("tuple[Any, ...]", first))
-        return kind(*inside) if hasattr(kind, "_fields") else tuple(inside)
+        return alike(cast("tuple[object, ...]", first), inside)
     return None if first is None else np.concatenate(parts)
 
 
@@ -102,7 +101,7 @@ def _fault_of(message: Any) -> ComponentFault:
 
 def _columns_of(
     component: str, elements: Sequence[str], reports: Sequence[DiagnosisReport]
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, AnyArray]:
     """Return what each report says of the elements of a component, by quantity (n, elements)."""
     watched = np.array([component in report.watched for report in reports])[:, None]
     columns = {

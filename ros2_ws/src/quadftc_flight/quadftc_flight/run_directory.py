@@ -22,7 +22,7 @@ import yaml
 from quadftc_bags.bag import Bag, BagError, read_bag
 from quadftc_flight.flight import Flight, flight_from_bag, has_messages
 from quadftc_flight.scenario import Scenario, ScenarioError, Scheme, node_parameters, parse_scenario
-from quadftc_flight.summary import compare_summaries, partial_summary, read_summary, summary
+from quadftc_flight.summary import Summary, compare_summaries, partial_summary, read_summary, summary
 
 SCENARIO, PARAMETERS, SUMMARY = "scenario.yaml", "parameters.yaml", "summary.json"
 DESCRIPTION = "replay.yaml"  # in place of the scenario: what was replayed
@@ -41,7 +41,7 @@ _SELECTORS = {"fault_observer": "observer", "disturbance_observer": "observer", 
 
 _MISSING = re.compile(r": no [a-z ]+ '\w+'.*; there are: ")  # how a registry refuses a name
 
-Parameters = dict[str, dict[str, Any]]  # node, without its namespace, to its parameters
+Parameters = dict[str, dict[str, object]]  # node, without its namespace, to its parameters
 
 
 class MissingPartError(BagError):
@@ -57,7 +57,7 @@ class RunDirectory:
     bag: Bag
     parameters: Parameters
     flight: Flight
-    summary: dict[str, Any]  # as in summary.json; of a recording that ends early it is about what is there
+    summary: Summary  # as in summary.json; of a recording that ends early it is about what is there
     versions: dict[str, str]  # what it was made with
     warnings: tuple[str, ...] = ()  # one line each
 
@@ -121,7 +121,7 @@ def run_from_bag(bag: Bag) -> RecordedRun:
     stored = read_summary(beside(bag.path, SUMMARY))
     name, warnings = run_name(bag.path), list[str]()
     # what was flown: parameters that are lost are compiled from the scenario
-    parameters = _read_parameters(bag, warnings)
+    parameters: Parameters = _read_parameters(bag, warnings)
     scenario = _read_scenario(bag, parameters)
     scheme = _find_scheme(scenario, parameters, (str(stored.data.get("scheme", "")), name), bag.path)
     if "name" not in scenario.raw:  # then it was the file's
@@ -193,10 +193,10 @@ def topics_text(bag: Bag) -> str:
     return ", ".join(sorted(name for name, topic in bag.topics.items() if topic.count)) or "none"
 
 
-def versions_of(stored: Mapping[str, Any], bag: Bag) -> dict[str, str]:
+def versions_of(stored: Mapping[str, object], bag: Bag) -> dict[str, str]:
     """Return what a recording was made with: by its summary, else by the bag."""
-    told: Any = stored.get("versions")
-    given = cast("dict[Any, Any]", told) if isinstance(told, dict) else bag.metadata.get("quadftc", {})
+    told = stored.get("versions")
+    given = cast("dict[object, object]", told) if isinstance(told, dict) else bag.metadata.get("quadftc", {})
     return {str(key): str(value) for key, value in given.items() if key != "mode"}
 
 

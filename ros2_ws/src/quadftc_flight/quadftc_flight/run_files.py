@@ -7,10 +7,13 @@ import shutil
 import subprocess
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from quadftc_flight.graph.plan import GraphError
 from quadftc_flight.scenario import Scenario, Scheme
+
+if TYPE_CHECKING:
+    from quadftc_flight.summary import Summary
 
 SUMMARY = "summary.json"
 
@@ -39,7 +42,7 @@ def prepare(out: Path, names: list[str], force: bool) -> None:
         raise RunError(f"{out}: {error.strerror}") from None
 
 
-def write_summary(out: Path, result: dict[str, Any]) -> None:
+def write_summary(out: Path, result: Summary) -> None:
     """Write the summary of a run beside its bag; ``out`` is the directory of all runs."""
     write_beside(out / result["bag"] / SUMMARY, json.dumps(result, indent=2, allow_nan=False) + "\n")
 

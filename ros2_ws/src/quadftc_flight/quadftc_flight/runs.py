@@ -10,7 +10,6 @@ import dataclasses
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import yaml
 from rclpy.exceptions import InvalidNamespaceException
@@ -24,7 +23,7 @@ from quadftc_flight.graph.plan import GraphError, GraphPlan, check_options
 from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.run_files import commit, run_name, write_beside, write_summary
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
-from quadftc_flight.summary import summary
+from quadftc_flight.summary import Summary, summary
 from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_ros.versions import versions
 from quadftc_sim.assembly import sample_count
@@ -63,7 +62,7 @@ def check_namespace(namespace: str) -> None:
 
 def run(
     scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, progress: Progress
-) -> dict[str, Any] | None:
+) -> Summary | None:
     """Fly one scheme of a scenario; return the summary that is written beside the bag, None if ended early.
 
     ``out`` is the directory of all runs. A GraphError says if the graph does not start or stalls. After the

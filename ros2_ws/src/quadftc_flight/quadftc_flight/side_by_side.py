@@ -12,11 +12,11 @@ from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any
 
 from quadftc_flight.graph.plan import GraphError
 from quadftc_flight.runs import RunOptions, run
 from quadftc_flight.scenario import Scenario, Scheme
+from quadftc_flight.summary import Summary
 from quadftc_ros.executor import STOPPING
 
 Job = tuple[Scenario, Scheme]
@@ -26,7 +26,7 @@ STRIDE = 0.01  # share of a flight between two reports of a process
 
 def run_side_by_side(
     jobs: Sequence[Job], out: Path, options: RunOptions, workers: int, follow: Callable[[int, float], bool]
-) -> list[dict[str, Any] | None]:
+) -> list[Summary | None]:
     """Fly jobs in processes of their own; return their summaries in order, None for one that was ended early.
 
     So many ``workers`` fly at a time, in lock-step. ``follow`` is called with a job's number and the share of
@@ -36,7 +36,7 @@ def run_side_by_side(
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
 
-    def fly(number: int, job: Job) -> dict[str, Any] | None:
+    def fly(number: int, job: Job) -> Summary | None:
         if stop.is_set():
             return None
         here, there = context.Pipe(duplex=False)

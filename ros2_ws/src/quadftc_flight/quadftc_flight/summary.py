@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from quadftc_flight.checks import check_results
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_flight.flight import Flight
-from quadftc_flight.metrics import entries, flight_metrics
+from quadftc_flight.metrics import Json, entries, flight_metrics
 from quadftc_flight.scenario import ROLES, Scenario, Scheme
 
 ROUNDING = 1e-6  # relative; the same metrics on another processor differ by less
@@ -26,18 +26,19 @@ _TIMING = ("wall_time_s", "real_time_factor")  # entries that a bag cannot tell
 
 # of the attitude; of each axis of each sensor; of each rotor
 Truth = tuple[Sequence[FaultWindow], Sequence[FaultEvent], Sequence[FaultEvent]]
+Summary = dict[str, Any]  # of a flight as a whole, as its JSON file holds it
 
 
 class StoredSummary(NamedTuple):
     """The summary beside a bag."""
 
-    data: dict[str, Any]  # empty if there is none
+    data: Summary  # empty if there is none
     problem: str  # what is wrong with the file, if anything
 
 
 def summary(
     flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float | None, truth: Truth | None = None
-) -> dict[str, Any]:
+) -> Summary:
     """Summarise a flight that took ``wall_time`` [s], ready for JSON; the caller adds versions and paths.
 
     ``truth`` is when which sensor and which rotor was faulty, if the scenario does not say it.
@@ -60,7 +61,7 @@ def summary(
     }
 
 
-def relate_to_undiagnosed(summaries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def relate_to_undiagnosed(summaries: Sequence[Summary]) -> list[Summary]:
     """Relate the attitude errors of runs to those without a diagnosis; return the summaries that got more.
 
     What is added is ``without_diagnosis``: the scheme of the same scenario with the observer ``none`` and the
@@ -68,7 +69,7 @@ def relate_to_undiagnosed(summaries: Sequence[dict[str, Any]]) -> list[dict[str,
     """
     alike = ("name", "seed", "rate", "duration", "vehicle", "disturbance_observer", "controller")
     plain = {tuple(each[key] for key in alike): each for each in summaries if each["observer"] == NO_OBSERVER}
-    related: list[dict[str, Any]] = []
+    related: list[Summary] = []
     for each in summaries:
         other = plain.get(tuple(each[key] for key in alike))
         if other is None or other is each:
@@ -79,15 +80,13 @@ def relate_to_undiagnosed(summaries: Sequence[dict[str, Any]]) -> list[dict[str,
     return related
 
 
-def _ratio(one: Mapping[str, Any], other: Mapping[str, Any], name: str) -> float | None:
+def _ratio(one: Summary, other: Summary, name: str) -> float | None:
     """Return a metric of one run over that of another; None where there is none."""
     part, whole = (each["metrics"][name] for each in (one, other))
     return part / whole if part is not None and whole else None
 
 
-def partial_summary(
-    flight: Flight, scenario: Scenario, scheme: Scheme, stored: Mapping[str, Any]
-) -> dict[str, Any]:
+def partial_summary(flight: Flight, scenario: Scenario, scheme: Scheme, stored: Summary) -> Summary:
     """Summarise what was recorded of a flight; the checks, made for all of it, do not count."""
     unchecked = scheme.model_copy(update={"checks": ()})
     origin = {key: stored[key] for key in ("mode", "graph") if isinstance(stored.get(key), str)}
@@ -98,17 +97,15 @@ def read_summary(file: Path) -> StoredSummary:
     """Read the summary beside a bag."""
     problem = "no mapping" if file.is_file() else "missing"
     try:
-        data: Any = file.is_file() and json.loads(file.read_text("utf-8"), parse_constant=_refuse_constant)
+        data: Json = file.is_file() and json.loads(file.read_text("utf-8"), parse_constant=_refuse_constant)
         if isinstance(data, dict):
-            return StoredSummary(cast("dict[str, Any]", data), "")
+            return StoredSummary(data, "")
     except (OSError, ValueError, RecursionError) as error:
         problem = f"broken ({type(error).__name__})"
     return StoredSummary({}, f"{file}: {problem}; computed from the bag")
 
 
-def compare_summaries(
-    computed: dict[str, Any], stored: StoredSummary, path: Path
-) -> tuple[dict[str, Any], list[str]]:
+def compare_summaries(computed: Summary, stored: StoredSummary, path: Path) -> tuple[Summary, list[str]]:
     """Return the summary of a whole recording, the bag at ``path``, and warnings.
 
     What lies beside the bag has entries of its own, and counts where it agrees with what was computed.
@@ -134,7 +131,7 @@ def _refuse_constant(text: str) -> float:
     raise ValueError(f"{text} is not finite")
 
 
-def _differences(stored: Any, computed: Any, place: str) -> Iterator[str]:
+def _differences(stored: Json, computed: Json, place: str) -> Iterator[str]:
     """Yield the dotted paths at which two summaries differ by more than rounding."""
     ours, theirs = dict(entries(computed)), dict(entries(stored))
     is_same_kind = type(stored) is type(computed)

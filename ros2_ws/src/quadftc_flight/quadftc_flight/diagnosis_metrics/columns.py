@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Figure = Callable[[ArrayLike], float | None]  # of samples; None: no sample is finite
+Record = dict[str, float | str | bool | None]  # of one fault: when and where it was, and how it was judged
+Metrics = dict[str, Any]  # as in summary.json: figures by name, and mappings and lists of them
 
 CONFIDENCE = 0.95  # probability that the band holds the statistic of a consistent estimate
 
@@ -57,7 +59,7 @@ class Columns:
         return slice(first, max(first, last))
 
 
-def number(value: float | np.floating[Any] | None) -> float | None:
+def number(value: float | np.floating | None) -> float | None:
     """Return a number that JSON can hold; None for NaN and infinity."""
     return None if value is None or not np.isfinite(value) else float(value)
 
@@ -67,7 +69,7 @@ def finite(values: Floats) -> Floats:
     return values[np.isfinite(values)]
 
 
-def _figure(compute: Callable[[Floats], float | np.floating[Any]]) -> Figure:
+def _figure(compute: Callable[[Floats], float | np.floating]) -> Figure:
     """Return a figure of the finite samples."""
 
     def figure(values: ArrayLike) -> float | None:

@@ -10,6 +10,8 @@ from typing import Any, cast
 
 from quadftc_flight.diagnosis_metrics.columns import (
     Figure,
+    Metrics,
+    Record,
     consistency_band,
     largest,
     mean,
@@ -19,8 +21,7 @@ from quadftc_flight.diagnosis_metrics.columns import (
     percentile_95,
 )
 
-Record = Mapping[str, Any]
-PerAxis = dict[str, Any]
+PerAxis = dict[str, float | None]
 
 ALL = "all"  # beside the kinds: faults of every kind
 SECONDS_PER_HOUR = 3600.0
@@ -45,7 +46,7 @@ _FIGURES: dict[str, tuple[str, Figure]] = {
 }  # metric by kind -> what it is made of, and how
 
 
-def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
+def fault_metrics(records: Sequence[Record]) -> Metrics:
     """Sum up the records of faults; those that cannot be judged do not count.
 
     The band of the mean NEES takes each fault for one independent sample. An error in telling the fault from
@@ -68,11 +69,11 @@ def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
     }
 
 
-def with_shares(totals: Mapping[str, PerAxis]) -> dict[str, Any]:
+def with_shares(totals: Mapping[str, PerAxis]) -> Metrics:
     """Relate times [s] and counts to the healthy time: of each axis, and (``total_``) of all axes."""
     healthy = totals["healthy_time_s"]
     hours = {axis: None if time is None else time / SECONDS_PER_HOUR for axis, time in healthy.items()}
-    result: dict[str, Any] = {}
+    result: Metrics = {}
     for name, values in totals.items():
         result[name] = values
         if name == "healthy_time_s":
@@ -90,7 +91,7 @@ def _ratio(part: float | None, whole: float | None) -> float | None:
     return number(part / whole) if part is not None and whole else None
 
 
-def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
+def pool(diagnoses: Iterable[Metrics]) -> Metrics:
     """Sum up the diagnosis of many flights, ``summary["metrics"]["diagnosis"]`` of each.
 
     The result is as of one flight, without ``events`` and ``starting_share``, with the number of ``flights``.
@@ -120,7 +121,7 @@ def _figures(groups: Mapping[str, Sequence[Record]]) -> dict[str, dict[str, floa
 
 
 def _values(records: Iterable[Record], field: str) -> list[float]:
-    return [float(record[field]) for record in records if record[field] is not None]
+    return [float(value) for record in records if (value := record[field]) is not None]
 
 
 def _count(records: Sequence[Record], field: str, value: bool) -> int | None:
@@ -129,14 +130,14 @@ def _count(records: Sequence[Record], field: str, value: bool) -> int | None:
     return sum(each is value for each in found) if found else None
 
 
-def _sums(parts: Sequence[Record], names: Iterable[str]) -> dict[str, Any]:
+def _sums(parts: Sequence[Metrics], names: Iterable[str]) -> dict[str, PerAxis]:
     return {name: _total([part[name] for part in parts]) or {} for name in names}
 
 
 def _longest(parts: Sequence[PerAxis]) -> PerAxis:
     """Return the largest value of each axis; None where no part has one."""
     axes = dict.fromkeys(axis for part in parts for axis in part)
-    known = {axis: [part[axis] for part in parts if part.get(axis) is not None] for axis in axes}
+    known = {axis: [value for part in parts if (value := part.get(axis)) is not None] for axis in axes}
     return {axis: max(values, default=None) for axis, values in known.items()}
 
 
@@ -145,7 +146,7 @@ def _total(parts: Sequence[Any]) -> Any:
     there = [part for part in parts if part is not None]
     if not there or not isinstance(there[0], Mapping):
         return sum(there) if there else None
-    entries = [cast("Record", part) for part in there]
+    entries = [cast("Metrics", part) for part in there]
     keys = dict.fromkeys(key for part in entries for key in part)
     return {key: _total([part.get(key) for part in entries]) for key in keys}
 
@@ -157,7 +158,7 @@ HEADINGS = (
 NOTHING = "-"
 
 
-def show_row(pooled: Record) -> tuple[str, ...]:
+def show_row(pooled: Metrics) -> tuple[str, ...]:
     """Write one pool for people, in the order of ``HEADINGS`` behind the name."""
     rmse = (pooled[name].get("all") for name in ("estimate_rmse_median_deg", "estimate_rmse_p95_deg"))
     missed, already = pooled["missed"], pooled["already_declared"]
@@ -173,7 +174,7 @@ def show_row(pooled: Record) -> tuple[str, ...]:
     )
 
 
-def _show_alarms(pooled: Record) -> str:
+def _show_alarms(pooled: Metrics) -> str:
     count, share, rate = (
         pooled[f"total_{name}"] for name in ("false_alarms", "false_alarm_share", "false_alarms_per_hour")
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from quadftc_flight.diagnosis_metrics.columns import (
     Columns,
     Floats,
     Mask,
+    Metrics,
+    Record,
     consistency_band,
     finite,
     independent_samples,
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
 
 COVERAGE_SIGMAS = 2.0  # standard deviations; 95.4 % of the errors of a consistent estimate are within
 
-Record = dict[str, Any]
+T = TypeVar("T")
 
 
 class Detection(NamedTuple):
@@ -49,7 +51,7 @@ class Detection(NamedTuple):
     row: int | None = None  # of the first sample that says so; None: missed, or said already
 
 
-def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str, Any]:
+def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> Metrics:
     """Judge the diagnosis of the attitude, ready for JSON; of one axis, no event overlaps another.
 
     The metrics of all faults have a value for each kind of fault and for ``all``; those of healthy time have
@@ -189,7 +191,7 @@ def _longest_alarm(columns: Columns, is_healthy: Mask, axis: int) -> float | Non
     return number(np.max(lengths, initial=0) * columns.period) if known.any() else None
 
 
-def _by_axis(names: Sequence[str], values: Sequence[Sequence[Any]]) -> dict[str, Record]:
+def _by_axis(names: Sequence[str], values: Sequence[Sequence[T]]) -> dict[str, dict[str, T]]:
     """Turn the metrics of each axis into the axes of each metric."""
     columns = zip(*values, strict=True)
     return {name: dict(zip(AXES, column, strict=True)) for name, column in zip(names, columns, strict=True)}

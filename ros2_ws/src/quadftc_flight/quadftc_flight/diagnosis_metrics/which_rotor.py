@@ -8,12 +8,11 @@ components against each other: nothing, a sensor or a rotor is faulty. See docs/
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from quadftc_flight.diagnosis_metrics.columns import largest, mean, median
-from quadftc_flight.diagnosis_metrics.which_sensor import GRACE_TIME, JudgedSensors, Record, summed_up
+from quadftc_flight.diagnosis_metrics.columns import Metrics, Record, largest, mean, median
+from quadftc_flight.diagnosis_metrics.which_sensor import GRACE_TIME, JudgedSensors, summed_up
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_model.arrays import Array, namespace
@@ -50,7 +49,7 @@ def is_sized(event: FaultEvent) -> bool:
     return not {*event.kind.split("+")} & {*UNSIZED}
 
 
-def rotor_metrics(flight: Flight, events: Sequence[FaultEvent], of_sensors: JudgedSensors) -> dict[str, Any]:
+def rotor_metrics(flight: Flight, events: Sequence[FaultEvent], of_sensors: JudgedSensors) -> Metrics:
     """Judge which rotor is named, ready for JSON; of one rotor, no event overlaps another."""
     judged = _JudgedRotors(flight, events, of_sensors)
     records = [judged.record(event) for event in events]

@@ -8,12 +8,22 @@ sensor of the axis is declared. Every metric: docs/diagnosis.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from quadftc_flight.diagnosis_metrics.columns import Columns, Floats, Mask, largest, mean, median, number
+from quadftc_flight.diagnosis_metrics.columns import (
+    Columns,
+    Floats,
+    Mask,
+    Metrics,
+    Record,
+    largest,
+    mean,
+    median,
+    number,
+)
 from quadftc_flight.fault_schedule import SENSORS, FaultEvent
 from quadftc_flight.flight import NO_STATE, Flight
 from quadftc_model.arrays import Array, namespace
@@ -26,7 +36,7 @@ TRUE = (NOTHING, *SENSORS)  # rows of the confusion matrix: the one sensor of th
 SAID = (*SENSORS, AMBIGUOUS, NOTHING, TIME)  # its columns: what is said; the time of the row
 UNSEEN = "dropout"  # the kind of fault of which the true size is zero
 
-Record = dict[str, Any]
+T = TypeVar("T")
 
 
 class Naming(NamedTuple):
@@ -64,7 +74,7 @@ def confusion(faulty: Array, healthy: Array, naming: Naming) -> Array:
 
 def sensor_metrics(
     flight: Flight, events: Sequence[FaultEvent], judged: JudgedSensors | None = None
-) -> dict[str, Any]:
+) -> Metrics:
     """Judge which sensor is named, ready for JSON; of one axis of a sensor, no event overlaps another."""
     judged = judged or JudgedSensors(flight, events)
     records = [judged.record(event) for event in events]
@@ -87,7 +97,7 @@ def sensor_metrics(
     }
 
 
-def _naming_metrics(records: Sequence[Record]) -> dict[str, dict[str, Any]]:
+def _naming_metrics(records: Sequence[Record]) -> dict[str, dict[str, float | None]]:
     """Sum up the records of faults, of all sensors and of each."""
     groups = {"all": records} | {
         name: [each for each in records if each["component"] == name] for name in SENSORS
@@ -96,20 +106,20 @@ def _naming_metrics(records: Sequence[Record]) -> dict[str, dict[str, Any]]:
     return {key: {name: figures[key] for name, figures in found.items()} for key in found["all"]}
 
 
-def summed_up(records: Sequence[Record], count: str) -> dict[str, Any]:
+def summed_up(records: Sequence[Record], count: str) -> dict[str, float | None]:
     """Sum up the records of faults, their number as ``count``; those that change no reading do not count."""
     judged = [record for record in records if record["named"] is not None]
     delays = [record["naming_delay_s"] for record in judged if record["naming_delay_s"] is not None]
     return {
         count: len(judged),
         "unnamed": sum(not record["named"] for record in judged),
-        "misnamed": sum((record["misnamed_share"] or 0.0) > 0.0 for record in judged),
+        "misnamed": sum(float(record["misnamed_share"] or 0.0) > 0.0 for record in judged),
         "naming_delay_median_s": median(delays),
         "naming_delay_max_s": largest(delays),
     }
 
 
-def summed_confusion(sensors: Mapping[str, Any]) -> dict[str, float]:
+def summed_confusion(sensors: Metrics) -> dict[str, float]:
     """Return the confusion matrix of a flight over all axes [s], by ``sensors.confusion_s.<true>.<said>``."""
     return {
         f"sensors.confusion_s.{true}.{said}": sum(time or 0.0 for time in axes.values())
@@ -140,7 +150,7 @@ class JudgedSensors:
             doubtful[self.rows(event.stop, event.stop + GRACE_TIME), sensor, axis] = True
         self.healthy: Mask = ~self.faulty & ~doubtful
 
-    def seconds(self, rows: Any) -> float | None:
+    def seconds(self, rows: int | np.int_) -> float | None:
         """Return the time of so many rows [s]."""
         return number(rows * self._period)
 
@@ -189,5 +199,5 @@ def attitude_error(flight: Flight) -> Floats:
     return np.degrees(np.sqrt(np.sum(wrap(flight.angles - flight.reference) ** 2, axis=1)))
 
 
-def _by_sensor(values: Iterable[Any]) -> dict[str, Any]:
+def _by_sensor(values: Iterable[T]) -> dict[str, T]:
     return dict(zip(SENSORS, values, strict=True))

@@ -6,13 +6,13 @@ from __future__ import annotations
 import abc
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from quadftc_flight.graph.plan import CONNECT_TIMEOUT, SLICE, STALL_TIMEOUT, GraphError, Progress, always
+from quadftc_model.assembly import NodeParameters
 from quadftc_ros.executor import Hosted, NodeHost, Slice
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import PlantKind, crowded_topics
@@ -45,9 +45,9 @@ class Graph(NodeHost, abc.ABC):
         self,
         node_class: Callable[..., Hosted],
         namespace: str,
-        parameters: Mapping[str, Any],
+        parameters: NodeParameters,
         remaps: Sequence[str] = (),
-        **options: Any,
+        **options: object,
     ) -> Hosted:
         """Make a node and let the executor serve it."""
         made = node_class(

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable
 
 from quadftc_compile.engine import CEngine
 from quadftc_control.attitude_loop import AttitudeLoop
@@ -20,7 +19,7 @@ from quadftc_fdi.disturbance_observer import DisturbanceObservation, disturbance
 from quadftc_fdi.fault_observer import fault_observer_from
 from quadftc_fdi.observation import Observation
 from quadftc_flight.graph.plan import GraphPlan
-from quadftc_model.assembly import build_prefixed
+from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.guarded import Guarded
 from quadftc_model.parameters import parameters_of
 from quadftc_ros.parameters import VehicleParameters
@@ -36,7 +35,6 @@ PARAMETERS: dict[str, type] = {  # of nodes, besides those of a vehicle and of l
     "position_controller": PositionControllerParameters,
     "reference": ReferenceParameters,
 }
-Values = Mapping[str, Any]  # parameters of a node
 
 
 def prepare_laws(plans: Iterable[GraphPlan]) -> None:
@@ -45,22 +43,23 @@ def prepare_laws(plans: Iterable[GraphPlan]) -> None:
     CEngine().prepare(laws)
 
 
-def graph_laws(plan: GraphPlan) -> list[Any]:
+def graph_laws(plan: GraphPlan) -> list[object]:
     """Return the laws that the nodes of a graph run; those of a wrong parameter not: the node says it."""
-    flies, found = plan.plant == "free_flight", list[Any]()
+    flies, found = plan.plant == "free_flight", list[object]()
     for node in plan.executables:
         with contextlib.suppress(ValueError):
             found += LAWS[node](values_of(plan, node), flies)
     return found
 
 
-def values_of(plan: GraphPlan, node: str) -> dict[str, Any]:
+def values_of(plan: GraphPlan, node: str) -> NodeParameters:
     """Return the parameters of a node, with the defaults of those that are not given; none is started."""
     specs = (*parameters_of(VehicleParameters), *parameters_of(PARAMETERS[node]))
     return {**{spec.name: spec.default for spec in specs}, **plan.node_parameters(node)}
 
 
-LAWS: dict[str, Callable[[Values, bool], list[Any]]] = {  # of each node, by its parameters; whether it flies
+# of each node, by its parameters; whether it flies
+LAWS: dict[str, Callable[[NodeParameters, bool], list[object]]] = {
     "plant": lambda values, _: [simulator_from(values).law],
     "fault_injector": lambda values, _: [
         Split(),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import yaml
 
+from quadftc_model.assembly import NodeParameters
 from quadftc_model.hints import nearest
 from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_ros.topics import NODES, TOPICS, PlantKind
@@ -35,7 +35,7 @@ STALL_TIMEOUT = 15.0  # s; without a new sample
 AFTERMATH = 0.05
 
 Progress = Callable[[int], bool]  # called with the number of samples so far; False ends the flight early
-Parameters = Mapping[str, Mapping[str, Any]]  # node to its parameters, name to value
+Parameters = Mapping[str, NodeParameters]  # node to its parameters, name to value
 
 
 class GraphError(RuntimeError):
@@ -80,7 +80,7 @@ class GraphPlan:
         return ["--ros-args", *words] if words else []
 
     @property
-    def _common(self) -> dict[str, Any]:
+    def _common(self) -> dict[str, object]:
         """Parameters of every node."""
         more = {"plant_kind": self.plant} if self.plant != "test_stand" else {}
         return {"mode": self.mode, **more, "engine": self.engine}
@@ -91,7 +91,7 @@ class GraphPlan:
         name = self.namespace.strip("/")
         return {"frame_prefix": f"{name}/"} if name else {}
 
-    def node_parameters(self, node: str) -> dict[str, Any]:
+    def node_parameters(self, node: str) -> dict[str, object]:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
         values = {**self._frames, **self.parameters.get(node, {}), **self._common}
         if node == "plant":
@@ -108,7 +108,7 @@ class GraphPlan:
         }
         return yaml.safe_dump(nodes, sort_keys=False, default_flow_style=None, width=120)
 
-    def recorder_parameters(self) -> dict[str, Any]:
+    def recorder_parameters(self) -> dict[str, object]:
         """Return the parameters of the recorder."""
         attachments = [str(path) for path in self.attachments] or [""]
         return {**self._common, "directory": str(self.bag), "attachments": attachments}

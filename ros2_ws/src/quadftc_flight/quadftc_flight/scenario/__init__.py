@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from quadftc_flight.scenario.components import Fault, Part, Setting
 from quadftc_flight.scenario.document import (
@@ -81,7 +80,7 @@ def with_components(scenario: Scenario, scheme: str | None = None, **kinds: str)
     schemes = list(scenario.schemes) if scheme is None else [scenario.scheme(scheme).name]
     for role, kind in kinds.items():
         if kind:
-            changes: dict[Keys, Any] = {("schemes", name, role): kind for name in schemes}
+            changes: dict[Keys, object] = {("schemes", name, role): kind for name in schemes}
             scenario = build_scenario(scenario.document.replaced(changes, f"{role} {kind}"))
     return scenario
 
@@ -112,9 +111,9 @@ def with_duration(scenario: Scenario, duration: float) -> Scenario:
 
     What would start later is left out, and so are the checks, which were made for the whole flight.
     """
-    changes: dict[Keys, Any] = {("duration",): duration}
+    changes: dict[Keys, object] = {("duration",): duration}
     changes |= {("schemes", scheme, "checks"): [] for scheme in scenario.schemes}
-    scheduled: dict[str, list[Any]] = {
+    scheduled: dict[str, list[object]] = {
         "references": [part.law for part in scenario.references],
         "disturbances": [part.law for part in scenario.disturbances],
         "faults": [fault.injection for fault in scenario.faults],
@@ -128,6 +127,6 @@ def with_duration(scenario: Scenario, duration: float) -> Scenario:
     return build_scenario(scenario.document.replaced(changes, f"duration {duration:g} s"))
 
 
-def _cut(item: dict[str, Any], law: Any, duration: float) -> dict[str, Any]:
+def _cut(item: Mapping[str, object], law: object, duration: float) -> dict[str, object]:
     late = getattr(law, "stop", 0.0) > duration
     return {name: value for name, value in item.items() if not (late and name in ("stop", "duration"))}

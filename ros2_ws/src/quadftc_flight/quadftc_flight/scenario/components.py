@@ -15,7 +15,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from quadftc_control.position_controller import position_controllers
 from quadftc_flight.scenario.document import Document
 from quadftc_model.hints import nearest
-from quadftc_model.parameters import build, convert, parameters_of
+from quadftc_model.parameters import Axes, build, convert, parameters_of
 from quadftc_model.registry import Registry
 from quadftc_model.samples import AXES
 from quadftc_model.spec import format_spec
@@ -77,11 +77,11 @@ class Fault:
         return format_spec(injection.kind, {**schedule, **_given_values(injection.law, self.given)})
 
 
-def _given_values(law: Any, given: Sequence[str]) -> dict[str, Any]:
+def _given_values(law: object, given: Sequence[str]) -> dict[str, object]:
     """Values of the parameters given; one number stands for a vector of equal numbers."""
-    values: dict[str, Any] = {name: getattr(law, name) for name in given}
+    values: dict[str, object] = {name: getattr(law, name) for name in given}
     return {
-        name: value[0] if isinstance(value, tuple) and len({*cast("tuple[Any, ...]", value)}) == 1 else value
+        name: value[0] if isinstance(value, tuple) and len({*cast("Axes", value)}) == 1 else value
         for name, value in values.items()
     }
 
@@ -130,7 +130,7 @@ class _Mistakes:
         self.stop_if_any()
         return cast("T", made)
 
-    def kind_in(self, registry: Registry[Any], values: dict[str, Any]) -> tuple[str, Any]:
+    def kind_in(self, registry: Registry[Any], values: dict[str, object]) -> tuple[str, Any]:
         """Take the kind out of the values; return it and the class that has this name."""
         component: Any = None
         kind = values.pop("kind", None)
@@ -144,12 +144,16 @@ class _Mistakes:
         return str(kind), component
 
     def convert(
-        self, component: type, raw: Mapping[str, Any], also: Sequence[str] = (), units: Any = None
-    ) -> dict[str, Any]:
+        self,
+        component: type,
+        raw: Mapping[str, object],
+        also: Sequence[str] = (),
+        units: Mapping[str, str] | None = None,
+    ) -> dict[str, object]:
         """Convert each parameter by itself, so that all that are wrong are found; return the good ones."""
         specs = {spec.name: spec for spec in parameters_of(component)}
         known = [*also, *specs]
-        values: dict[str, Any] = {}
+        values: dict[str, object] = {}
         for name, value in raw.items():
             if name in specs:
                 values[name] = self.attempt(lambda: convert(specs[name], value, units), (name,))  # noqa: B023
@@ -189,7 +193,7 @@ def load_vehicle_of(name: str, info: ValidationInfo) -> str:
     return full
 
 
-def build_plant(raw: Any, info: ValidationInfo) -> Plant | None:
+def build_plant(raw: object, info: ValidationInfo) -> Plant | None:
     """Build the plant, without its disturbances and winds; None without a vehicle."""
     setting, mistakes = cast("Setting", info.context), _Mistakes()
     vehicle, values = setting.vehicle, {"kind": "test_stand", **_mapping(raw, "a mapping")}
@@ -199,12 +203,12 @@ def build_plant(raw: Any, info: ValidationInfo) -> Plant | None:
     return mistakes.build(lambda: vehicle and build(law, given, vehicle=vehicle), given)
 
 
-def build_sensor(raw: Any) -> ImuSensor:
+def build_sensor(raw: object) -> ImuSensor:
     """Build the IMU: a grade, with single parameters changed."""
     return _build_graded(ImuSensor, GRADES, raw)
 
 
-def build_position_sensor(raw: Any, info: ValidationInfo) -> PositionSensor | None:
+def build_position_sensor(raw: object, info: ValidationInfo) -> PositionSensor | None:
     """Build the position sensor of a free flight: a grade, with single parameters changed."""
     setting = cast("Setting", info.context)
     if not setting.flies:
@@ -214,14 +218,14 @@ def build_position_sensor(raw: Any, info: ValidationInfo) -> PositionSensor | No
 
 
 def flight_sensor_builder(
-    kind: type[T], grades: Mapping[str, Mapping[str, Any]]
-) -> Callable[[Any, ValidationInfo], T]:
+    kind: type[T], grades: Mapping[str, Mapping[str, object]]
+) -> Callable[[object, ValidationInfo], T]:
     """Return what builds a sensor of a free flight: a grade, with single parameters changed, or its defaults.
 
     The defaults say that there is no such sensor.
     """
 
-    def build_sensor_of_flight(raw: Any, info: ValidationInfo) -> T:
+    def build_sensor_of_flight(raw: object, info: ValidationInfo) -> T:
         if not cast("Setting", info.context).flies:
             in_flight_only(raw)
         return kind() if raw is None else _build_graded(kind, grades, raw)
@@ -233,36 +237,36 @@ build_magnetometer = flight_sensor_builder(Magnetometer, MAGNETOMETER_GRADES)
 build_barometer = flight_sensor_builder(Barometer, BAROMETER_GRADES)
 
 
-def build_position_controller(raw: Any, info: ValidationInfo) -> Part | None:
+def build_position_controller(raw: object, info: ValidationInfo) -> Part | None:
     """Build the position controller of a free flight; there, `geometric` is the default."""
     if not cast("Setting", info.context).flies:
         return in_flight_only(raw)
     return part_builder(position_controllers, of_vehicle=True)(raw or "geometric", info)
 
 
-def in_flight_only(raw: Any) -> None:
+def in_flight_only(raw: object) -> None:
     """Refuse what a test stand has no use for."""
     if raw is not None:
         raise ValueError("only in free flight: expected 'plant: {kind: free_flight}'")
 
 
-def _build_graded(kind: type[T], grades: Mapping[str, Mapping[str, Any]], raw: Any) -> T:
+def _build_graded(kind: type[T], grades: Mapping[str, Mapping[str, object]], raw: object) -> T:
     mistakes, values = _Mistakes(), _mapping(raw, "a mapping")
     grade = values.pop("grade", "ideal")
     if not isinstance(grade, str) or grade not in grades:
         mistakes.add(f"{grade!r}: expected one of {', '.join(grades)}", "grade")
     given = mistakes.convert(kind, values, ("grade",))
     mistakes.stop_if_any()
-    given = {**grades[grade], **given}
+    given = {**grades[str(grade)], **given}
     return mistakes.build(lambda: build(kind, given), given)
 
 
 def part_builder(
     registry: Registry[Any], *, of_vehicle: bool
-) -> Callable[[Any, ValidationInfo], Part | None]:
+) -> Callable[[object, ValidationInfo], Part | None]:
     """Return what builds a component of a registry; one ``of_vehicle`` may be given by its name alone."""
 
-    def build_part(raw: Any, info: ValidationInfo) -> Part | None:
+    def build_part(raw: object, info: ValidationInfo) -> Part | None:
         setting, mistakes = cast("Setting", info.context), _Mistakes()
         values = _mapping({"kind": raw} if of_vehicle and isinstance(raw, str) else raw)
         kind, component = mistakes.kind_in(registry, values)
@@ -279,7 +283,7 @@ def part_builder(
     return build_part
 
 
-def _told_of(place: PositionSensor | None, component: type) -> dict[str, Any]:
+def _told_of(place: PositionSensor | None, component: type) -> dict[str, object]:
     """Values of those parameters of a law by which it knows the position sensor."""
     if place is None:
         return {}
@@ -297,7 +301,7 @@ def _told_of(place: PositionSensor | None, component: type) -> dict[str, Any]:
     }
 
 
-def build_fault(raw: Any, info: ValidationInfo) -> Fault | None:
+def build_fault(raw: object, info: ValidationInfo) -> Fault | None:
     """Build a scheduled fault; None for one on rotors without a vehicle."""
     setting, mistakes, given = cast("Setting", info.context), _Mistakes(), _mapping(raw)
     kind, law = mistakes.kind_in(registry_of(given.get("kind"), given), given)
@@ -314,13 +318,13 @@ def build_fault(raw: Any, info: ValidationInfo) -> Fault | None:
     return Fault(injection, tuple(given))
 
 
-def _mapping(raw: Any, expected: str = "a mapping with 'kind'") -> dict[str, Any]:
+def _mapping(raw: object, expected: str = "a mapping with 'kind'") -> dict[str, object]:
     if not isinstance(raw, dict):
         raise ValueError(f"{shown(raw)}: expected {expected}")
-    return dict(cast("dict[str, Any]", raw))
+    return dict(cast("dict[str, object]", raw))
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Write a value for a message, at most 60 characters."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

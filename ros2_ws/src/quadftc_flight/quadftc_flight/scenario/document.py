@@ -22,7 +22,7 @@ from quadftc_model.small_files import read_small
 
 Node = Any  # a node of ruamel.yaml, which has no complete types
 Keys = tuple[str | int, ...]  # where a value is: keys and indices from the root
-Change = tuple[Sequence[str | int], Any, str, str]  # path, new value, what gives it, how an error begins
+Change = tuple[Sequence[str | int], object, str, str]  # path, new value, what gives it, how an error begins
 
 ROLES = ("observer", "disturbance_observer", "controller")  # keys of a scheme that may hold a name only
 OVERRIDE = "override"  # begins the origin of what an assignment gives
@@ -61,7 +61,7 @@ class Document:
             lines.append(f"{self.source}: and {len(found) - MAX_SHOWN} more")
         return ScenarioError("\n".join(lines))
 
-    def replaced(self, changes: Mapping[Keys, Any], origin: str) -> Document:
+    def replaced(self, changes: Mapping[Keys, object], origin: str) -> Document:
         """Return the document with values replaced, or added to mappings; ``origin`` says by what."""
         where = f"{self.source}: {origin}"
         return self._changed((path, value, origin, where) for path, value in changes.items())
@@ -73,7 +73,7 @@ class Document:
         """
         return self._changed(self._parse_override(assignment) for assignment in assignments)
 
-    def with_values(self, values: Mapping[str, Any], origin: str) -> Document:
+    def with_values(self, values: Mapping[str, object], origin: str) -> Document:
         """Put values in place of others by dotted path, as `overridden` does; ``origin`` is for messages."""
         where = f"{self.source}: {origin}"
         return self._changed(
@@ -178,7 +178,7 @@ def parse_document(text: str, source: str) -> Document:
     return document
 
 
-def parse_value(text: str, source: str) -> Any:
+def parse_value(text: str, source: str) -> object:
     """Parse the YAML text of one value; ``source`` is named in errors."""
     reader = _Reader(source)
     node = reader.compose(text)
@@ -193,7 +193,7 @@ class _BoundedComposer(Composer):
 
     depth = count = 0
 
-    def compose_node(self, parent: Node, index: Any) -> Node:
+    def compose_node(self, parent: Node, index: object) -> Node:
         """Compose a node and what is in it."""
         untyped: Any = super()
         self.count, self.depth = self.count + 1, self.depth + 1
@@ -243,8 +243,8 @@ class _Reader:
             return [self.value(item, (*path, index)) for index, item in enumerate(node.value)]
         return self._scalar(node, path)
 
-    def _mapping(self, node: Node, path: Keys) -> dict[str, Any]:
-        values: dict[str, Any] = {}
+    def _mapping(self, node: Node, path: Keys) -> dict[str, object]:
+        values: dict[str, object] = {}
         for key_node, value_node in node.value:
             is_text = key_node.id == "scalar"
             key = str(key_node.value) if is_text else "?"
@@ -258,14 +258,14 @@ class _Reader:
                 values[key] = self.value(value_node, inner)
         return values
 
-    def _scalar(self, node: Node, path: Keys) -> Any:
+    def _scalar(self, node: Node, path: Keys) -> object:
         kind = str(node.tag).rpartition(":")[2]
         if kind in ("str", "timestamp"):
             return str(node.value)
         wrong = f"'{node.tag}' is no type of value that a scenario knows"
         if kind in ("null", "bool", "int", "float"):
             try:
-                value: Any = self._yaml.constructor.construct_object(node)
+                value: object = self._yaml.constructor.construct_object(node)
                 if isinstance(value, int):
                     float(value)  # refuses an integer beyond all floats
                 return value

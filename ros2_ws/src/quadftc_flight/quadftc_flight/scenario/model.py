@@ -43,7 +43,7 @@ LAG_A_STEP = 2.0  # 1; motor bandwidth times integration step; from 2.78 on Rung
 
 
 def _within(unit: str, low: float, high: float) -> pydantic.BeforeValidator:
-    def check(raw: Any) -> float:
+    def check(raw: object) -> float:
         if not isinstance(raw, (int, float, str)):
             raise ValueError(f"{raw!r}: expected a number in {unit}")
         value = quantity(raw, unit)
@@ -60,7 +60,7 @@ def _remember_duration(duration: float, info: pydantic.ValidationInfo) -> float:
 
 
 def _name_or_stem(
-    raw: Any, check: pydantic.ValidatorFunctionWrapHandler, info: pydantic.ValidationInfo
+    raw: object, check: pydantic.ValidatorFunctionWrapHandler, info: pydantic.ValidationInfo
 ) -> str:
     """Without a name the scenario has that of its file."""
     document = cast("Setting", info.context).document
