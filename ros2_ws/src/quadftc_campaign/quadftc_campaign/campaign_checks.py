@@ -14,14 +14,15 @@ kind ``all`` is every fault.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
 
 from pydantic import Field
 
 from quadftc_campaign.table import QUANTILES
 from quadftc_flight.checks import check_results
+from quadftc_flight.diagnosis_metrics.columns import Metrics
 from quadftc_flight.metrics import known_metrics
 from quadftc_flight.scenario import Check, Problem
+from quadftc_flight.summary import Summary
 from quadftc_model.hints import nearest
 from quadftc_model.samples import AXES
 
@@ -55,8 +56,8 @@ def wrong_checks(checks: Sequence[CampaignCheck], variants: Iterable[str]) -> It
 
 
 def campaign_results(
-    checks: Sequence[CampaignCheck], variants: Mapping[str, Mapping[str, Any]]
-) -> list[dict[str, Any]]:
+    checks: Sequence[CampaignCheck], variants: Mapping[str, Summary]
+) -> list[dict[str, object]]:
     """Hold checks against the summaries of variants; one result for each check, variant and axis."""
     return [
         {"variant": name, **result._asdict()}
@@ -67,7 +68,7 @@ def campaign_results(
     ]
 
 
-def metrics_of(summary: Mapping[str, Any]) -> dict[str, Any]:
+def metrics_of(summary: Summary) -> Metrics:
     """Return what checks see of the summary of a variant, as nested mappings."""
     faults = {
         kind: {
@@ -80,9 +81,9 @@ def metrics_of(summary: Mapping[str, Any]) -> dict[str, Any]:
     return {**{name: summary[name] for name in COUNTS}, **_nested(summary["metrics"]), FAULTS: faults}
 
 
-def _nested(columns: Mapping[str, Mapping[str, Any]], prefix: str = "") -> dict[str, Any]:
+def _nested(columns: Mapping[str, Metrics], prefix: str = "") -> Metrics:
     """Nest columns such as ``tracking_rmse_deg.roll``: words, statistic, axis."""
-    found: dict[str, Any] = {}
+    found: Metrics = {}
     for column, values in columns.items():
         *words, last = column.removeprefix(prefix).split(".")
         axis = [last] if last in AXES else []

@@ -117,7 +117,7 @@ class SourceKeys(_Keys):
     delay: Drawn | None = None
 
 
-def _kind_alone(raw: Any) -> Any:
+def _kind_alone(raw: object) -> object:
     return {"kind": raw} if isinstance(raw, str) else raw
 
 
@@ -168,7 +168,7 @@ class Variant(NamedTuple):
     scheme: str
     observer: str | None  # None: the scheme's
     controller: str | None
-    parameters: tuple[tuple[str, Any], ...] = ()  # of the observer
+    parameters: tuple[tuple[str, object], ...] = ()  # of the observer
 
 
 class Campaign(CampaignKeys):
@@ -279,7 +279,7 @@ def _expand_paths(keys: CampaignKeys, base: Document, problems: list[Problem]) -
         if not star:
             expanded[key] = drawn
         elif isinstance(items, list):
-            count = len(cast("list[Any]", items))
+            count = len(cast("list[object]", items))
             expanded |= {f"{first}.{index}{rest}": drawn for index in range(count)}
         else:
             problems.append(Problem(("vary", key), f"'{first}' is no list of the scenario"))

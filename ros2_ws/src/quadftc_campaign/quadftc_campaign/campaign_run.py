@@ -17,9 +17,9 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import polars as pl
 
@@ -30,9 +30,11 @@ from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import batch_flight, first_columns, flight_scenario
 from quadftc_campaign.open_loop import fly_open, loops_of
-from quadftc_campaign.table import ORDER, Row, Rows, summary_of, table_of, with_ratios
+from quadftc_campaign.table import ORDER, Rows, summary_of, table_of, with_ratios
 from quadftc_campaign.workers import devices, run_tasks, started_workers
+from quadftc_flight.diagnosis_metrics.columns import Record
 from quadftc_flight.scenario import Scenario
+from quadftc_flight.summary import Summary
 from quadftc_model.composition import Composition
 from quadftc_sim.assembly import sample_count
 
@@ -166,7 +168,7 @@ class CampaignRun:
                     _write_table(pl.concat([*before, table_of(rows)], how="diagonal_relaxed"), path)
                 missing = self._missing()
 
-    def finish(self) -> tuple[pl.DataFrame, dict[str, Any]]:
+    def finish(self) -> tuple[pl.DataFrame, Summary]:
         """Join the chunks, and summarise; both are written, or it is a `CampaignError`."""
         try:
             frames = list(map(pl.read_parquet, self._paths))
@@ -196,7 +198,7 @@ def chunks_of(campaign: Campaign, size: int | None = None) -> list[list[int]]:
     if not bags and campaign.engine != JAX:
         together = min(together, -(-campaign.flights // CHUNKS_AT_LEAST))
     size = size or together
-    groups: dict[Any, list[int]] = {}
+    groups: dict[Hashable, list[int]] = {}
     for cell in range(min(cells, campaign.flights)):
         structure = cell if bags else None
         if is_loop and cells > 1:
@@ -248,7 +250,7 @@ def _loops_of(campaign: Campaign, scenario: Scenario) -> list[Composition]:
 
 def _fly_loop(
     campaign: Campaign, numbers: Sequence[int], scenarios: Sequence[Scenario], progress: Progress
-) -> Iterator[tuple[Row, Rows]]:
+) -> Iterator[tuple[Record, list[Record]]]:
     """Yield the metrics of each flight and of its faults, from the batch engine."""
     flights = list(map(batch_flight, scenarios))
     if campaign.engine == JAX:
@@ -263,10 +265,10 @@ def _fly_loop(
         yield flight_record(outcome), fault_records(outcome, events)
 
 
-def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:
+def _describe(campaign: Campaign, chunks: int) -> dict[str, object]:
     """Describe what a campaign is made of, ready for JSON."""
     base, source = json.dumps(campaign.base.data, sort_keys=True, default=str), campaign.source
-    manifest: dict[str, Any] = {
+    manifest: dict[str, object] = {
         "format": FORMAT,
         "name": campaign.name,
         "flights": campaign.flights,
@@ -285,7 +287,7 @@ def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:
     return manifest
 
 
-def _compare(path: Path, manifest: dict[str, Any], resume: bool) -> None:
+def _compare(path: Path, manifest: dict[str, object], resume: bool) -> None:
     """Refuse a directory with another campaign, or with this one if it is not to be resumed."""
     if not resume:
         raise CampaignError(f"{path.parent}: holds a campaign; --resume goes on with it, or {ANOTHER}")
@@ -294,7 +296,7 @@ def _compare(path: Path, manifest: dict[str, Any], resume: bool) -> None:
     except ValueError:
         raise CampaignError(f"{path}: is no JSON; {ANOTHER}") from None
     if there != manifest:
-        found = cast("dict[str, Any]", there if isinstance(there, dict) else {})
+        found = cast("dict[str, object]", there if isinstance(there, dict) else {})
         names = ", ".join(key for key, value in manifest.items() if found.get(key) != value)
         raise CampaignError(f"{path}: another campaign ({names or 'other keys'} differ); {ANOTHER}")
 

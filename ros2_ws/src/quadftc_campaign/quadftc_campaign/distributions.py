@@ -18,14 +18,15 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from quadftc_model.hints import nearest
 from quadftc_model.spec import format_spec
 
-Value = Any  # what may stand in a scenario: a number, a text, a list, a component
+T = TypeVar("T")
+Value = object  # what may stand in a scenario: a number, a text, a list, a component
 
 GRID = "grid"  # the flights go through its values in turn
 DISCRETE = ("choice", GRID)
@@ -67,11 +68,11 @@ class Distribution:
         return numbers.tolist()
 
 
-def distribution(raw: Any) -> Distribution:
+def distribution(raw: object) -> Distribution:
     """Read a distribution from a campaign file; a ValueError says what was expected instead."""
     if not isinstance(raw, Mapping):
         raise ValueError(f"{raw!r}: expected a distribution, such as {{uniform: [0.5 deg, 5 deg]}}")
-    given = cast("Mapping[Any, Any]", raw)
+    given = cast("Mapping[str, Any]", raw)
     for key in given:
         if key not in KEYS:
             raise ValueError(f"unknown key '{key}'{nearest(str(key), KEYS)}")
@@ -91,7 +92,7 @@ def distribution(raw: Any) -> Distribution:
     return Distribution(kind, bounds, (), unit, size, sign is not None)
 
 
-def plain(value: Value) -> Any:
+def plain(value: Value) -> Value:
     """Return a value as it is reported: a number without its unit, or a text."""
     if isinstance(value, str):
         match = _NUMBER.match(value)
@@ -99,7 +100,7 @@ def plain(value: Value) -> Any:
     if isinstance(value, (bool, int, float)):
         return value
     if isinstance(value, Mapping):
-        component = dict(cast("Mapping[str, Any]", value))
+        component = dict(cast("Mapping[str, Value]", value))
         return format_spec(str(component.pop("kind", "")), component)
     return str(value)
 
@@ -110,28 +111,28 @@ def unit_of(value: Value) -> str:
     return match[2] if match else ""
 
 
-def _read_values(kind: str, raw: Any) -> tuple[Value, ...]:
+def _read_values(kind: str, raw: object) -> tuple[Value, ...]:
     """Read the values of a choice or grid; in a component of a choice, mappings are distributions."""
     if not isinstance(raw, list) or not raw:
         raise ValueError(f"{kind}: {raw!r}: expected a list of values, at least one")
-    values = cast("list[Any]", raw)
+    values = cast("list[Value]", raw)
     return tuple(values if kind == GRID else (_inside(each, Mapping, distribution) for each in values))
 
 
-def _inside(value: Value, kind: type, change: Callable[[Any], Any]) -> Value:
+def _inside(value: Value, kind: type[T], change: Callable[[T], Value]) -> Value:
     """Return a component with what is of a kind in it changed; any other value as it is."""
     if not isinstance(value, Mapping):
         return value
-    items = cast("Mapping[str, Any]", value).items()
+    items = cast("Mapping[str, Value]", value).items()
     return {key: change(each) if isinstance(each, kind) else each for key, each in items}
 
 
-def _read_bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
+def _read_bounds(kind: str, raw: object) -> tuple[tuple[float, float], str]:
     names = ("mean", "standard deviation") if kind == "normal" else ("low", "high")
-    if not isinstance(raw, list) or len(cast("list[Any]", raw)) != 2:
+    if not isinstance(raw, list) or len(cast("list[Value]", raw)) != 2:
         raise ValueError(f"{kind}: {raw!r}: expected [{', '.join(names)}]")
     pairs: list[tuple[float, str]] = []
-    for name, each in zip(names, cast("list[Any]", raw), strict=True):
+    for name, each in zip(names, cast("list[Value]", raw), strict=True):
         match = _NUMBER.match(str(each)) if isinstance(each, (int, float, str)) else None
         if match is None or isinstance(each, bool):
             raise ValueError(f"{kind}: {name} {each!r}: expected a number, with its unit if it has one")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -94,7 +94,7 @@ def batch_flight(scenario: Scenario, scheme: str | None = None) -> BatchFlight:
     return BatchFlight(JudgedLoop(loop=loop, judge=judge), scenario.seed, count)
 
 
-def first_columns(campaign: Campaign, number: int, variant: Variant, scenario: Scenario) -> dict[str, Any]:
+def first_columns(campaign: Campaign, number: int, variant: Variant, scenario: Scenario) -> dict[str, object]:
     """Return what a row of the campaign's table says of its flight before any metric."""
     scheme, is_loop = scenario.scheme(variant.scheme), campaign.source.kind == "loop"
     return {
@@ -112,14 +112,15 @@ def _schedule(campaign: Campaign, path: str, value: Value) -> Value:
     place, _, index = path.partition(".")
     if place != "faults" or not index.isdecimal() or not isinstance(value, dict):
         return value
-    there: list[dict[str, Any]] = campaign.base.data.get(place, [])
+    there: list[dict[str, object]] = campaign.base.data.get(place, [])
     kept = there[int(index)] if int(index) < len(there) else {}
-    return {**{key: each for key, each in kept.items() if key in RESERVED}, **cast("dict[str, Any]", value)}
+    schedule = {key: each for key, each in kept.items() if key in RESERVED}
+    return schedule | cast("dict[str, object]", value)
 
 
-def _replace(given: Any, kind: str, parameters: tuple[tuple[str, Any], ...]) -> Any:
+def _replace(given: object, kind: str, parameters: tuple[tuple[str, object], ...]) -> object:
     """A part by its name; with the parameters that the scenario gives if it is the one that was there."""
-    spec = cast("dict[str, Any]", given) if isinstance(given, dict) else {"kind": given}
+    spec = cast("dict[str, object]", given) if isinstance(given, dict) else {"kind": given}
     if not parameters:
-        return cast("Any", given) if spec.get("kind") == kind else kind
+        return cast("object", given) if spec.get("kind") == kind else kind
     return {**(spec if spec.get("kind") == kind else {"kind": kind}), **dict(parameters)}

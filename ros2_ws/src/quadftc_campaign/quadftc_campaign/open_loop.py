@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from quadftc_campaign.open_motion import Alone, MovedImu, simulate
 from quadftc_campaign.table import Row, Rows
 from quadftc_fdi.observation import Observation
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
+from quadftc_flight.diagnosis_metrics.columns import Metrics
 from quadftc_flight.diagnosis_metrics.which_sensor import summed_confusion
 from quadftc_flight.fault_schedule import attitude_events
 from quadftc_flight.metrics import flight_metrics
@@ -51,7 +52,7 @@ def fly_open(
         flight = flight_of(recording, diagnosed)
         every = replay_events(recording, faults)
         metrics = flight_metrics(flight, (), every)
-        diagnosis: dict[str, Any] = metrics["diagnosis"]
+        diagnosis: Metrics = metrics["diagnosis"]
         records: Rows = diagnosis.pop("events")
         specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
         for event, record in zip(attitude_events(every), records, strict=True) if records else ():
@@ -90,10 +91,10 @@ def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Record
     return recording, faults, delay
 
 
-def flatten(nested: Mapping[str, Any], prefix: str = "") -> Row:
+def flatten(nested: Mapping[str, object], prefix: str = "") -> Row:
     """Return nested mappings as one, with dotted names."""
     flat: Row = {}
     for name, value in nested.items():
-        inside = cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else None
+        inside = cast("Mapping[str, object]", value) if isinstance(value, Mapping) else None
         flat |= {f"{prefix}{name}": value} if inside is None else flatten(inside, f"{prefix}{name}.")
     return flat

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from quadftc_compile.wiring import BLOCK, flown_by
 from quadftc_control.reference import combined
 from quadftc_flight.reported import joined
 from quadftc_flight.scenario import Scenario
-from quadftc_model.arrays import Array, Quaternion, Vector
+from quadftc_model.arrays import Array, Quaternion, Scalar, Vector
 from quadftc_model.composition import Calls
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AXES, ImuSample
@@ -70,18 +70,18 @@ class MovedImu:
 class Alone:
     """A law alone as a composition, of inputs and time steps."""
 
-    law: Any
+    law: object
 
     @property
-    def laws(self) -> Mapping[str, Any]:
+    def laws(self) -> Mapping[str, object]:
         """It alone."""
         return {"law": self.law}
 
-    def init(self, calls: Calls) -> Any:
+    def init(self, calls: Calls) -> object:
         """Return its state."""
         return calls.init("law")
 
-    def step(self, calls: Calls, state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+    def step(self, calls: Calls, state: object, inputs: tuple[object, Scalar]) -> tuple[object, object]:
         """Advance to the next sample."""
         return calls.step("law", state, *inputs)
 

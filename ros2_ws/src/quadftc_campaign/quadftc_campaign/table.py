@@ -18,15 +18,16 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from quadftc_flight.diagnosis_metrics.columns import Metrics
 from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_KINDS
 from quadftc_flight.diagnosis_metrics.which_rotor import TRUE as TRUE_KINDS
 from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE
-from quadftc_flight.summary import NO_OBSERVER
+from quadftc_flight.summary import NO_OBSERVER, Summary
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
 
-Row = dict[str, Any]
+Row = dict[str, object]
 Rows = list[Row]
 
 ORDER = ("flight", "variant", "fault")
@@ -48,7 +49,7 @@ NOT_METRICS = ("flight", "seed", "fault", "fault.start", "fault.stop")  # column
 def table_of(rows: Rows) -> pl.DataFrame:
     """Make a table of rows; columns of numbers are Float64, but for `WHOLE`."""
     frame = pl.DataFrame(rows, infer_schema_length=None, strict=False)
-    types: dict[str, Any] = {
+    types: dict[str, type[pl.DataType]] = {
         name: pl.Int64 if name in WHOLE else pl.Float64
         for name, kind in frame.schema.items()
         if kind.is_numeric() or (kind == pl.Null and name not in FLAGS)
@@ -62,7 +63,7 @@ def whole_flights(frame: pl.DataFrame) -> pl.DataFrame:
     return frame.unique(["flight", "variant"], keep="first", maintain_order=True)
 
 
-def summary_of(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
+def summary_of(campaign: Campaign, frame: pl.DataFrame) -> Summary:
     """Summarise the table of a campaign, ready for JSON; it says nothing of when or where it was flown."""
     return {
         "name": campaign.name,
@@ -78,9 +79,9 @@ def summary_of(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
     }
 
 
-def quantiles(frame: pl.DataFrame, names: Iterable[str]) -> dict[str, Any]:
+def quantiles(frame: pl.DataFrame, names: Iterable[str]) -> Metrics:
     """Quantiles, mean and extremes of columns; null where no row has a value."""
-    found: dict[str, Any] = {}
+    found: Metrics = {}
     for column in (frame[name].drop_nulls().drop_nans() for name in names):
         values: dict[str, Any] = {}
         if len(column):
@@ -122,7 +123,7 @@ def _kind(frame: pl.DataFrame) -> pl.Expr:
     return (sensor.fill_null("") + pl.col("fault.kind")).alias("kind")
 
 
-def _count(faults: pl.DataFrame, name: str, value: Any, above: bool = False) -> int:
+def _count(faults: pl.DataFrame, name: str, value: float, above: bool = False) -> int:
     """Count the faults that have a value, or one above it; none if there is no such column."""
     if name not in faults.columns:
         return 0
@@ -131,7 +132,7 @@ def _count(faults: pl.DataFrame, name: str, value: Any, above: bool = False) -> 
 
 def _matrix(
     flights: pl.DataFrame, begin: str, truths: Sequence[str], claims: Sequence[str]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Metrics]:
     """Return a confusion matrix over all flights [s], without rows of which there are no columns."""
     return {
         true: {said: flights[f"{begin}.{true}.{said}"].sum() for said in claims}
@@ -140,7 +141,7 @@ def _matrix(
     }
 
 
-def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
+def _variant(campaign: Campaign, frame: pl.DataFrame) -> Summary:
     flights, faults = whole_flights(frame), frame.filter(pl.col("fault").is_not_null())
     kinds = faults.with_columns(_kind(frame)).partition_by("kind", as_dict=True) if faults.height else {}
     parts = dict(sorted((str(key[0]), part) for key, part in kinds.items()))

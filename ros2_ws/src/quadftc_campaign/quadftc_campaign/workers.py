@@ -41,7 +41,7 @@ class Workers:
         self.count = count
         self._pool = self._new_pool()
 
-    def submit(self, function: Callable[..., T], *arguments: Any) -> futures.Future[T]:
+    def submit(self, function: Callable[..., T], *arguments: object) -> futures.Future[T]:
         """Have a process call a function; it is started if need be, deaf to Ctrl-C."""
         with _deaf_children():
             return self._pool.submit(function, *arguments)
@@ -85,7 +85,7 @@ def devices(workers: Workers, engine: str) -> str:
 def run_tasks(
     workers: Workers,
     function: Callable[..., T],
-    arguments: Sequence[tuple[Any, ...]],
+    arguments: Sequence[tuple[object, ...]],
     progress: Progress = lambda samples: None,
 ) -> Iterator[tuple[int, T]]:
     """Call a function in the workers; yield place and result of each call as it is done.
@@ -136,7 +136,7 @@ def _begin(cores: int) -> None:
     os.environ[THREADS] = str(cores)
 
 
-def _call(function: Callable[..., T], arguments: tuple[Any, ...], file: Path, place: int) -> T:
+def _call(function: Callable[..., T], arguments: tuple[object, ...], file: Path, place: int) -> T:
     """In a process: call a function that says how many samples it has flown."""
     samples = np.memmap(file, np.float64, "r+")
     samples[place] = 0.0

@@ -8,7 +8,7 @@ It keeps one core busy; for more, start a process for each (`quadftc_campaign` d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,7 +41,7 @@ class BatchFlight(NamedTuple):
     numbers: tuple[int, ...] | None = None
 
     @property
-    def structure(self) -> Any:
+    def structure(self) -> Hashable:
         """What two flights must have in common to fly together; hashable."""
         return structure_of(self.loop), self.samples, self.period
 
@@ -86,7 +86,7 @@ def fly_all(
     log: Log = say,
 ) -> Iterator[Outcome]:
     """Fly flights one by one in C, or in NumPy where ``engine`` says so or a law cannot be compiled."""
-    run, kept = engine_named(engine, log), dict[Any, Flown]()
+    run, kept = engine_named(engine, log), dict[Hashable, Flown]()
     for flight in flights:
         key = structure_of(flight.loop)
         if key in kept:

@@ -11,22 +11,22 @@ import dataclasses
 import functools
 import math
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_campaign.batch.engine import BatchFlight, Outcome, Progress, outcome_of
 from quadftc_campaign.batch.judged_loop import JudgedLoop, JudgedState
 from quadftc_compile.recipe import name_of
 from quadftc_flight.loop import LoopInputs
-from quadftc_model.arrays import chosen
+from quadftc_model.arrays import AnyArray, Array, Scalar, chosen
 from quadftc_model.composition import PlainCalls
 from quadftc_model.numbers import numbers_of, structure_of, with_numbers
+from quadftc_sim.injection import Injection
 
 LANES = 2048  # flights that fly together at most
 STRETCH = 500  # samples of one call of the compiled function; between calls sums are taken out
@@ -36,7 +36,8 @@ BEGINNERS = "judge.", "loop.injections."  # begin at their first sample, whateve
 
 _precisions: set[bool] = set()  # whether this process computes in single precision, once it is known
 
-Numbers = dict[str, Any]  # by path, arrays (flights, ...)
+T = TypeVar("T")  # nested tuples of arrays
+Numbers = dict[str, Array]  # by path, arrays (flights, ...)
 
 
 class JaxEngine:
@@ -52,12 +53,12 @@ class JaxEngine:
         settle_precision(float32)
         self._lanes = lanes
         self._dtype = np.dtype(np.float32 if float32 else np.float64)
-        self._compiled: dict[Any, CompiledFlight] = {}
+        self._compiled: dict[Hashable, CompiledFlight] = {}
 
     def fly(self, flights: Sequence[BatchFlight], progress: Progress = lambda samples: None) -> list[Outcome]:
         """Fly all flights; ValueError if a law cannot be traced."""
         flights = with_common_faults(flights)
-        groups: dict[Any, list[int]] = {}
+        groups: dict[Hashable, list[int]] = {}
         for place, flight in enumerate(flights):
             groups.setdefault(flight.structure, []).append(place)
         outcomes: dict[int, Outcome] = {}
@@ -73,7 +74,7 @@ class JaxEngine:
                 outcomes.update(zip(block, flown, strict=True))
         return [outcomes[place] for place in range(len(flights))]
 
-    def _prepare(self, structure: Any, flights: Sequence[BatchFlight]) -> tuple[CompiledFlight, Numbers]:
+    def _prepare(self, structure: Hashable, flights: Sequence[BatchFlight]) -> tuple[CompiledFlight, Numbers]:
         """Return flights of one structure compiled, and the numbers of their laws that they do not share."""
         numbers = [numbers_of(flight.loop) for flight in flights]
         # the schedule differs, if not in these flights, and where kinds of faults differ, so do their axes
@@ -123,7 +124,7 @@ def lanes_for(flights: int) -> int:
 class TracedCalls(PlainCalls):
     """Calls the laws while they are traced; ValueError names the one that cannot be."""
 
-    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+    def step(self, name: str, state: object, inputs: object, dt: Scalar) -> tuple[object, Any]:
         """Step a law by ``dt`` [s]; where that is 0, the law begins.
 
         Both states are computed and one is chosen: a GPU would copy them to branch.
@@ -142,7 +143,7 @@ class TracedCalls(PlainCalls):
 class CompiledFlight:
     """Functions that fly all flights of one structure."""
 
-    def __init__(self, loop: JudgedLoop, dtype: np.dtype[Any]) -> None:
+    def __init__(self, loop: JudgedLoop, dtype: np.dtype[np.floating]) -> None:
         self._loop, self._dtype = loop, dtype
         axes: Any = LoopInputs._make(None if name in SHARED else 0 for name in LoopInputs._fields)
         self._step_all = jax.vmap(self._step, in_axes=(0, axes, 0, None))
@@ -171,13 +172,13 @@ class CompiledFlight:
 
         All stretches are as long, so that nothing is compiled for the last one alone.
         """
-        first, joined = drawn[0], dict[str, Any]()
+        first, joined = drawn[0], dict[str, object]()
         rows = np.minimum(np.arange(STRETCH), np.size(first.now) - 1)
 
-        def fill(array: Any) -> Any:
+        def fill(array: Array) -> Array:
             return array if len(array) == STRETCH else array[rows]
 
-        def stack(*arrays: Any) -> Any:
+        def stack(*arrays: Array) -> Array:
             kind = self._dtype if arrays[0].dtype.kind == "f" else None
             return np.stack(arrays, dtype=kind, casting="same_kind")
 
@@ -200,7 +201,7 @@ class CompiledFlight:
             states = {key: loop.init(PlainCalls(loop.laws)) for key, loop in different.items()}
         return self._cast(jax.tree.map(lambda *leaves: np.stack(leaves), *map(states.get, keys)))
 
-    def _step(self, state: JudgedState, stretch: LoopInputs, numbers: Numbers, index: Any) -> JudgedState:
+    def _step(self, state: JudgedState, stretch: LoopInputs, numbers: Numbers, index: Scalar) -> JudgedState:
         """Take a sample of one flight, at an index of a stretch."""
         loop = with_numbers(self._loop, numbers)
         samples = stretch._replace(first_draws=None)
@@ -216,12 +217,12 @@ class CompiledFlight:
         tally = tally._replace(sums=jax.tree.map(jnp.zeros_like, tally.sums))
         start = state._replace(judge=state.judge._replace(tally=tally))
 
-        def body(index: Any, state: JudgedState) -> JudgedState:
+        def body(index: Scalar, state: JudgedState) -> JudgedState:
             return self._step_all(state, inputs, numbers, index)
 
         return jax.lax.fori_loop(0, count, body, start)
 
-    def _cast(self, tree: Any) -> Any:
+    def _cast(self, tree: T) -> T:
         """Put every float in the precision of the flights: a state must keep its types."""
         return jax.tree.map(lambda leaf: _cast_float(jnp.asarray(leaf), self._dtype), tree)
 
@@ -233,7 +234,7 @@ def with_common_faults(flights: Sequence[BatchFlight]) -> list[BatchFlight]:
     these kinds need no other compilation. Their schedules get one shape, too.
     """
     # by place among the faults and structure: the fault of each flight, with its number
-    slots: list[dict[Any, Any]] = []
+    slots: list[dict[tuple[int, Hashable], tuple[Injection, int]]] = []
     for flight in flights:
         injections = flight.loop.loop.injections
         numbers = flight.numbers or tuple(range(1, len(injections) + 1))
@@ -251,9 +252,7 @@ def with_common_faults(flights: Sequence[BatchFlight]) -> list[BatchFlight]:
     return filled
 
 
-def differing(
-    flights: Sequence[Mapping[str, NDArray[Any]]], free: Collection[str] = ()
-) -> dict[str, NDArray[Any]]:
+def differing(flights: Sequence[Mapping[str, AnyArray]], free: Collection[str] = ()) -> dict[str, AnyArray]:
     """Stack the numbers that differ between flights, and those that are ``free``: (flights, ...)."""
     first = flights[0]
     return {
@@ -263,15 +262,15 @@ def differing(
     }
 
 
-def take(arrays: Any, index: Any) -> Any:
+def take(arrays: T, index: object) -> T:
     """Return what is at an index of the first axis in each array of a tree."""
     return jax.tree.map(lambda array: array[index], arrays)
 
 
-def to_float64(arrays: Any) -> Any:
+def to_float64(arrays: T) -> T:
     """Return a tree of arrays as NumPy arrays, floats in double precision."""
     return jax.tree.map(lambda array: _cast_float(np.asarray(array), np.dtype(np.float64)), arrays)
 
 
-def _cast_float(array: Any, dtype: np.dtype[Any]) -> Any:
+def _cast_float(array: Array, dtype: np.dtype[np.floating]) -> Array:
     return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array

@@ -62,9 +62,9 @@ class Motion(NamedTuple):
 class OfSensors(NamedTuple):
     """Something of each sensor."""
 
-    attitude: Any
-    gyro: Any
-    accelerometer: Any
+    attitude: Array
+    gyro: Array
+    accelerometer: Array
 
 
 class Place(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 from quadftc_campaign.batch.judge import Judge, JudgeInputs, Motion, OfSensors, Place, Rotors
 from quadftc_control.guidance import GuidanceOutput
 from quadftc_flight.loop import ClosedLoop, LoopInputs, LoopOutput, LoopState
+from quadftc_model.arrays import Mask
 from quadftc_model.composition import Calls
 from quadftc_model.samples import FaultEstimate, RotorCondition
 
@@ -32,7 +33,7 @@ class JudgedLoop:
     judge: Judge
 
     @property
-    def laws(self) -> Mapping[str, Any]:
+    def laws(self) -> Mapping[str, object]:
         """The laws by name."""
         return {**self.loop.laws, "judge": self.judge}
 
@@ -77,7 +78,7 @@ def judged(output: LoopOutput, inputs: LoopInputs) -> JudgeInputs:
     )
 
 
-def _sensors_of(estimate: FaultEstimate) -> tuple[OfSensors, tuple[Any, Any]]:
+def _sensors_of(estimate: FaultEstimate) -> tuple[OfSensors, tuple[Mask, Mask]]:
     """Return what is said of the sensors, and where it is ambiguous; one that is not watched is healthy."""
     said = estimate.sensors
     if said is None:

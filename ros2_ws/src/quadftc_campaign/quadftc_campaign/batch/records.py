@@ -8,12 +8,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from quadftc_campaign.batch.engine import Floats, Outcome
-from quadftc_flight.diagnosis_metrics.columns import number
+from quadftc_flight.diagnosis_metrics.columns import Record, number
 from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_KINDS
 from quadftc_flight.diagnosis_metrics.which_rotor import TRUE as TRUE_KINDS
 from quadftc_flight.diagnosis_metrics.which_rotor import is_sized
@@ -41,7 +41,7 @@ def metric_of(name: str, outcome: Outcome) -> Floats:
     return np.degrees(root) if name.endswith("_deg") else root
 
 
-def flight_record(outcome: Outcome) -> dict[str, Any]:
+def flight_record(outcome: Outcome) -> Record:
     """Metrics of the whole flight by name, or by ``name.axis``; None where no sample counts."""
     sums, marks = outcome.sums, outcome.marks
     of_axes = {
@@ -65,7 +65,7 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
     }
     # a flight whose numbers are not finite any more counts as lost
     unusable = bool(marks["unusable"] or marks.get("astray"))
-    record: dict[str, Any] = {
+    record: Record = {
         "finite": not (unusable or marks["restarted"]),
         "lost": bool(marks["lost"] or unusable),
         **_sensor_record(sums, outcome.period),
@@ -127,14 +127,14 @@ def _rotor_record(sums: dict[str, Floats], period: float) -> dict[str, float]:
     }
 
 
-def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[dict[str, Any]]:
+def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[Record]:
     """Metrics of each fault, as in the records of `quadftc_flight.diagnosis_metrics`.
 
     Those of the attitude have what is known of its estimate, those of each sensor whether it was named, and
     so those of each rotor, with what is known of its effectiveness.
     """
     places = {(event.component, event.axis): itertools.count() for event in events}
-    records: list[dict[str, Any]] = []
+    records: list[Record] = []
     for event in events:
         if event.component == ROTOR:
             place, rotor = next(places[event.component, event.axis]), int(event.axis) - 1
@@ -147,7 +147,7 @@ def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[dict[s
     return records
 
 
-def _naming_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int, int]) -> dict[str, Any]:
+def _naming_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int, int]) -> Record:
     sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("fault_")}
     marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("fault_")}
     stated = sums["fault_delivered"]
@@ -169,7 +169,7 @@ def _naming_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int, int]
     }
 
 
-def _rotor_fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> dict[str, Any]:
+def _rotor_fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> Record:
     sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("rotor_")}
     marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("rotor_")}
     stated, settled = sums["rotor_delivered"], sums["rotor_settled"]
@@ -189,7 +189,7 @@ def _rotor_fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]
     }
 
 
-def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> dict[str, Any]:
+def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> Record:
     sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("event")}
     marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("event")}
     known, stated = sums["event_known"], sums["event_delivered"]
@@ -220,5 +220,5 @@ def _mean(total: Floats, count: Floats) -> Floats:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _if(condition: Any, values: Any) -> Floats:
+def _if(condition: ArrayLike, values: ArrayLike) -> Floats:
     return np.where(condition, values, np.nan)

@@ -12,8 +12,8 @@ detection, say) to another sample. Where a function has no slope (a norm at zero
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,8 +27,11 @@ from quadftc_compile.runner import CRunner
 from quadftc_compile.wiring import BLOCK
 from quadftc_flight.loop import LoopInputs
 from quadftc_flight.loop_draws import LoopDraws
+from quadftc_model.arrays import Array, Scalar
 from quadftc_model.composition import PlainCalls
 from quadftc_model.numbers import number_at, part_at, prepared, structure_of, with_numbers
+
+T = TypeVar("T")
 
 TOGETHER = 16  # directions in one flight at most: a step takes up to 0.13 MB of the stack for each
 
@@ -44,7 +47,7 @@ class SlopedInputs(NamedTuple):
     """What goes into a judged loop at a sample, and how its numbers change."""
 
     sample: LoopInputs
-    directions: tuple[Any, ...]  # of the number at each path, (directions, ...)
+    directions: tuple[Array, ...]  # of the number at each path, (directions, ...)
 
 
 class Sloped(NamedTuple):
@@ -78,17 +81,17 @@ class SlopedLoop:
         zeros = jax.tree.map(lambda x: np.zeros((self.count, *x.shape)), _floats_of(self.first))
         return SlopedState(self.first, zeros)
 
-    def step(self, state: SlopedState, inputs: SlopedInputs, dt: Any) -> tuple[SlopedState, tuple[()]]:
+    def step(self, state: SlopedState, inputs: SlopedInputs, dt: Scalar) -> tuple[SlopedState, tuple[()]]:
         """Advance to the next sample, whose inputs have its times."""
 
-        def fly(floats: Any, numbers: Sequence[Any]) -> tuple[Any, JudgedState]:
+        def fly(floats: Any, numbers: Sequence[Array]) -> tuple[Any, JudgedState]:
             loop = with_numbers(self.loop, dict(zip(self.paths, numbers, strict=True)))
             after, _ = loop.step(TracedCalls(loop.laws), _with_floats(state.state, floats), inputs.sample)
             return _floats_of(after), after
 
         given = _floats_of(state.state), tuple(part_at(self.loop, path) for path in self.paths)
 
-        def derive(*along: Any) -> tuple[Any, JudgedState]:
+        def derive(*along: object) -> tuple[Any, JudgedState]:
             _, slopes, after = jax.jvp(fly, given, along, has_aux=True)
             return slopes, after
 
@@ -100,7 +103,7 @@ class SlopedLoop:
 class TracedCalls(PlainCalls):
     """Calls the laws with arrays of JAX, also where a loop gives them constants."""
 
-    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+    def step(self, name: str, state: object, inputs: object, dt: Scalar) -> tuple[object, Any]:
         """Step a law by ``dt`` [s]; where that is 0, the law begins."""
         return super().step(name, state, jax.tree.map(jnp.asarray, inputs), dt)
 
@@ -116,7 +119,7 @@ def fly_with_slopes(
     """
     total = len(next(iter(directions.values())))
     count = -(-total // -(-total // TOGETHER))
-    runners: dict[Any, CRunner] = {}
+    runners: dict[Hashable, CRunner] = {}
     flown: list[Sloped] = []
     for flight in flights:
         law, key = (
@@ -139,7 +142,8 @@ def fly_with_slopes(
 
 
 def _fly(flight: BatchFlight, runner: CRunner, along: tuple[Floats, ...], progress: Progress) -> Sloped:
-    state, draws = runner.law.init(None), flight.draws
+    law: Any = runner.law
+    state, draws = law.init(None), flight.draws
     for begin in range(0, flight.samples, BLOCK):
         rows = min(BLOCK, flight.samples - begin)
         state, _ = runner.run(state, SlopedInputs(draws.next(rows), along), flight.period)
@@ -150,12 +154,12 @@ def _fly(flight: BatchFlight, runner: CRunner, along: tuple[Floats, ...], progre
     return Sloped(outcome_of(flight, flown.state.judge.tally), kept)
 
 
-def _floats_of(state: Any) -> Any:
+def _floats_of(state: object) -> Any:
     return jax.tree.map(lambda leaf: leaf if jnp.issubdtype(leaf.dtype, jnp.floating) else None, state)
 
 
-def _with_floats(state: Any, floats: Any) -> Any:
-    def exchange(number: Any, leaf: Any) -> Any:
+def _with_floats(state: T, floats: object) -> T:
+    def exchange(number: Array | None, leaf: Array) -> Array:
         return leaf if number is None else number
 
     return jax.tree.map(exchange, floats, state, is_leaf=lambda each: each is None)

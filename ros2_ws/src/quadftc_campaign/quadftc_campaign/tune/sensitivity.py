@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from quadftc_campaign.batch.records import ROOTS, metric_of
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.flights import batch_flight, flight_scenario
 from quadftc_flight.scenario import ROLES, Part, Problem, Scheme
+from quadftc_model.arrays import AnyArray
 from quadftc_model.numbers import numbers_of
 from quadftc_model.parameters import parameters_of
 
@@ -91,7 +92,7 @@ def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) 
     and smaller: that covers whatever a law computes of its gains when it is built.
     """
 
-    def build(logarithms: Floats) -> dict[str, Any]:
+    def build(logarithms: Floats) -> dict[str, AnyArray]:
         tried = with_gains(campaign, variant.scheme, gains.at(logarithms))
         return numbers_of(batch_flight(flight_scenario(tried, number, variant)).loop)
 

@@ -199,7 +199,7 @@ def _judge_gains(
 def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
     """Write a file of gains (`quadftc_flight.scenario.files`), with what they bring."""
     before, after, scenario = tuned.before, tuned.after, build_scenario(campaign.base)
-    scheme, parts = scenario.scheme(campaign.variants[0].scheme), dict[str, dict[str, Any]]()
+    scheme, parts = scenario.scheme(campaign.variants[0].scheme), dict[str, dict[str, object]]()
     for name, value in tuned.gains.plain().items():
         role, _, parameter = name.partition(".")
         parts.setdefault(role, {"kind": getattr(scheme, role).kind})[parameter] = value
