@@ -59,7 +59,7 @@ class Library:
     numbers_layout: Layout
     entries: dict[str, Entry]
     facts: Mapping[str, Any]  # statements, seconds, bytes
-    held: Any  # the library of ctypes
+    held: ctypes.CDLL
 
 
 def key_of(recipe: Recipe) -> str:
@@ -126,7 +126,7 @@ def what_is_missing() -> str | None:
     return None if compiler() is not None else "there is no C compiler that works (cc, gcc or clang)"
 
 
-def make_library(recipe: Recipe, more: tuple[str, ...] = ()) -> tuple[bytes, dict[str, Any]]:
+def make_library(recipe: Recipe, more: tuple[str, ...] = ()) -> tuple[bytes, cache.Record]:
     """Trace a law and compile its C, with ``more`` flags; return library and record."""
     missing = what_is_missing()
     if missing is not None:
@@ -183,7 +183,7 @@ def compile_c(name: str, header: str, source: str, more: tuple[str, ...] = ()) -
         raise BuildError(f"{name}: {error}") from None
 
 
-def load_library(path: Path, record: Mapping[str, Any]) -> Library:
+def load_library(path: Path, record: cache.Record) -> Library:
     """Load a library that can be trusted."""
     held = ctypes.CDLL(str(path))
     entries: dict[str, Entry] = {}

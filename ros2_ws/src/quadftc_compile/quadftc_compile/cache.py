@@ -16,9 +16,11 @@ import os
 import platform
 import stat
 import tempfile
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any
+
+Record = Mapping[str, Any]  # what a library is, in plain data
 
 RECORD, LIBRARY = ".json", ".so"
 CARRIED = Path(__file__).parent / "carried"  # in a wheel alone
@@ -55,19 +57,19 @@ def processor() -> str:
     return f"{platform.machine()} {platform.processor()}"
 
 
-def load_entry(key: str) -> tuple[Path, dict[str, Any]] | None:
+def load_entry(key: str) -> tuple[Path, Record] | None:
     """Return library and record of an entry; None if it is not there, damaged, or not to be trusted."""
     return _load(cache_folder(), key, processor(), _trusted)
 
 
-def load_carried(key: str) -> tuple[Path, dict[str, Any]] | None:
+def load_carried(key: str) -> tuple[Path, Record] | None:
     """Return library and record of an entry that the wheel carries; None if it is not there, or damaged."""
     return _load(CARRIED, key, platform.machine(), lambda path: path)
 
 
 def _load(
     folder: Path, key: str, made_for: str, trusted: Callable[[Path], Path]
-) -> tuple[Path, dict[str, Any]] | None:
+) -> tuple[Path, Record] | None:
     try:
         record = json.loads(trusted(folder / f"{key}{RECORD}").read_text(encoding="utf-8"))
         library = trusted(folder / f"{key}-{record['sha256'][:16]}{LIBRARY}")
@@ -88,17 +90,17 @@ def _trusted(path: Path) -> Path:
     return path
 
 
-def store_entry(key: str, library: bytes, record: dict[str, Any]) -> Path:
+def store_entry(key: str, library: bytes, record: Record) -> Path:
     """Keep an entry; OSError if it cannot be written. What is half-written is never seen."""
     return _store(cache_folder(), key, processor(), library, record)
 
 
-def store_carried(folder: Path, key: str, library: bytes, record: dict[str, Any]) -> None:
+def store_carried(folder: Path, key: str, library: bytes, record: Record) -> None:
     """Put an entry for a wheel into a folder; OSError if it cannot be written."""
     _store(folder, key, platform.machine(), library, record)
 
 
-def _store(folder: Path, key: str, made_for: str, library: bytes, record: dict[str, Any]) -> Path:
+def _store(folder: Path, key: str, made_for: str, library: bytes, record: Record) -> Path:
     digest = hashlib.sha256(library).hexdigest()
     path = folder / f"{key}-{digest[:16]}{LIBRARY}"
     _replace(path, library)

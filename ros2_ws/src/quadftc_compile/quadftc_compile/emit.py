@@ -17,7 +17,6 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from quadftc_compile.graph import VIEWS, Graph, Node, UntraceableError
 from quadftc_compile.layout import C_TYPES
 from quadftc_compile.operators import ELEMENTWISE, operate
 from quadftc_compile.text import Expression, Index, Indices, flat, variable
+from quadftc_model.arrays import AnyArray
 
 FEW = 4  # numbers of an array that is written number by number
 LONGEST = 24  # operations in one statement
@@ -233,11 +233,11 @@ class Emitter:
         """Return a name that is not in use."""
         return f"{letter}{next(self._numbers)}"
 
-    def type_of(self, dtype: np.dtype[Any]) -> str:
+    def type_of(self, dtype: np.dtype) -> str:
         """Return the C type of numbers."""
         return self.real if dtype.kind == "f" else C_TYPES[dtype.str[1:]]
 
-    def declare(self, shape: Sequence[int], dtype: np.dtype[Any], looped: bool = True) -> Storage:
+    def declare(self, shape: Sequence[int], dtype: np.dtype, looped: bool = True) -> Storage:
         """Declare where numbers are kept."""
         name, kind, size = self.name("v"), self.type_of(dtype), math.prod(shape)
         if size == 1:
@@ -431,7 +431,7 @@ class Emitter:
             self._sources[str(node.source)] = None
         return self._operation(node, at)
 
-    def literal(self, value: Any) -> Expression:
+    def literal(self, value: float | np.number | np.bool_) -> Expression:
         """Return a number that is known."""
         return text.literal(value, self.real)
 
@@ -446,7 +446,7 @@ class Emitter:
             return self.literal(value.flat[where.constant])
         return Expression(f"{self.table(value)}[{self.index(where)}]")
 
-    def table(self, value: Any) -> str:
+    def table(self, value: AnyArray) -> str:
         """Return the name of a table of numbers that are known."""
         numbers = ", ".join(self.literal(each).text for each in value.flat)
         content = f"[{max(value.size, 1)}] = {{{numbers or 0}}};"

@@ -11,11 +11,11 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any
 
 from quadftc_compile.build import BuildError, Library, build_library, find_library, key_of, what_is_missing
-from quadftc_compile.layout import layout_of
+from quadftc_compile.layout import Layout, layout_of
 from quadftc_compile.recipe import Recipe, recipe_of
 from quadftc_compile.runner import CRunner
 from quadftc_compile.worker import Worker
@@ -43,7 +43,7 @@ def engine_named(name: str, log: Log = say) -> Engine:
     return CEngine(log) if name == "c" else NumpyRunner
 
 
-def engine_from(values: Mapping[str, Any], log: Log = say) -> Engine:
+def engine_from(values: Mapping[str, object], log: Log = say) -> Engine:
     """Return the engine that the parameter ``engine`` of a node names."""
     return engine_named(str(values["engine"]), log)
 
@@ -82,14 +82,14 @@ class CEngine:
         there = {name: library for name, library in found.items() if library is not None}
         return there if len(there) == len(laws) else None
 
-    def is_ready(self, law: Any, inputs: Any) -> bool:
+    def is_ready(self, law: object, inputs: object) -> bool:
         """Whether a law can be run in C without compiling it now."""
         try:
             return _loaded(recipe_for(law, inputs)) is not None
         except ValueError:
             return False
 
-    def _library_for(self, law: Any, inputs: Any) -> Library | None:
+    def _library_for(self, law: object, inputs: object) -> Library | None:
         """Return a compiled law, compiled now if need be; None if it has to fly in NumPy."""
         recipe = recipe_for(law, inputs)
         self._compile([recipe])
@@ -128,13 +128,13 @@ class CEngine:
 class _Chosen:
     """A runner in C, or in NumPy if the law has none; chosen by the structure of the first inputs."""
 
-    def __init__(self, law: Any, library_for: Callable[[Any, Any], Library | None]) -> None:
+    def __init__(self, law: object, library_for: Callable[[object, object], Library | None]) -> None:
         self._law, self._library_for = law, library_for
         self._runner: Runner[Any, Any] | None = None
-        self._layout: Any = None
-        self._structure: Any = None
+        self._layout: Layout | None = None
+        self._structure: Hashable = None
 
-    def configure(self, law: Any) -> bool:
+    def configure(self, law: object) -> bool:
         """Go on with the numbers of another law of the same structure; False: it has another."""
         if self._runner is not None:
             self._structure = self._structure or structure_of(self._law)
@@ -143,7 +143,7 @@ class _Chosen:
         self._law = law
         return True
 
-    def choose(self, inputs: Any) -> Runner[Any, Any]:
+    def choose(self, inputs: object) -> Runner[Any, Any]:
         """Return the runner for inputs like these."""
         layout = layout_of(inputs)
         if self._runner is None or layout != self._layout:
@@ -153,29 +153,29 @@ class _Chosen:
             self.step = self._runner.step  # from here on without a detour
         return self._runner
 
-    def first(self, inputs: Any) -> tuple[Any, Any]:
+    def first(self, inputs: object) -> tuple[object, Any]:
         """Return state and output at the first sample."""
         return self.choose(inputs).first(inputs)
 
-    def resumed(self, inputs: Any, words: Any) -> tuple[Any, Any]:
+    def resumed(self, inputs: object, words: object) -> tuple[object, Any]:
         """Return state and output at a sample from which the law resumes by last words."""
         return self.choose(inputs).resumed(inputs, words)
 
-    def step(self, state: Any, inputs: Any, dt: float) -> tuple[Any, Any]:
+    def step(self, state: object, inputs: object, dt: float) -> tuple[object, Any]:
         """Advance by ``dt`` [s] to a sample."""
         return self.choose(inputs).step(state, inputs, dt)
 
-    def tree(self, state: Any) -> Any:
+    def tree(self, state: object) -> Any:
         """Return the nested tuples of a state."""
         return state if self._runner is None else self._runner.tree(state)
 
 
-def _can_be_traced(law: Any) -> bool:
+def _can_be_traced(law: object) -> bool:
     """Whether it is worth a try: a law may say that it cannot be traced."""
     return bool(getattr(law, "traceable", True))
 
 
-def recipe_for(law: Any, inputs: Any) -> Recipe:
+def recipe_for(law: Any, inputs: object) -> Recipe:
     """Return the recipe of a law for inputs like an example; it resumes, if the law has last words."""
     words = law.example_words() if hasattr(law, "example_words") else None
     return recipe_of(law, inputs, words)

@@ -165,7 +165,7 @@ def _initial(part: Any, real: str, depth: int) -> str:
     if not isinstance(part, dict):
         numbers = [literal(each, real).text for each in np.ravel(part)]
         return numbers[0] if np.ndim(part) == 0 else "{" + ", ".join(numbers) + "}"
-    members: dict[str, Any] = part or {"nothing": 0}  # pyright: ignore[reportUnknownVariableType]
+    members: dict[str, object] = part or {"nothing": 0}  # pyright: ignore[reportUnknownVariableType]
     indent = "    " * depth
     lines = [f"{indent}.{key} = {_initial(each, real, depth + 1)}" for key, each in members.items()]
     return "{\n" + ",\n".join(lines) + "}"

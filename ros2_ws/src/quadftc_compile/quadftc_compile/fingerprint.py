@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 # import a.b.c / from a.b import (c, d)
 IMPORT = re.compile(
@@ -21,7 +20,7 @@ IMPORT = re.compile(
 WRITERS = {"quadftc_compile.program", "quadftc_compile.build"}
 
 
-def fingerprint(*parts: Any) -> str:
+def fingerprint(*parts: object) -> str:
     """Return a short text that is another for other parts; each is told by its ``repr``."""
     return hashlib.sha256("\n".join(map(repr, parts)).encode()).hexdigest()[:32]
 

@@ -13,10 +13,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, DTypeLike
+
+from quadftc_model.arrays import AnyArray
 
 # functions that a jaxpr calls, with the name of the parameter that holds them
 CALLS = {
@@ -33,7 +35,7 @@ SAME = ("copy", "copy_p", "stop_gradient", "optimization_barrier", "reduce_preci
 # which elements an array has, not what they are: no arithmetic
 VIEWS = ("reshape", "transpose", "broadcast_in_dim", "slice", "rev", "concatenate")
 # operations that NumPy does exactly as C: correctly rounded, or not rounded at all
-EXACT: dict[str, Callable[..., Any]] = {
+EXACT: dict[str, np.ufunc] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
@@ -51,9 +53,28 @@ EXACT: dict[str, Callable[..., Any]] = {
 }
 LARGEST_POWER = 8  # x^n is written as products up to this n
 
+Params = dict[str, Any]  # of a primitive of JAX, or of an operation here
+
 
 class UntraceableError(ValueError):
     """A function that cannot be compiled: where, what it does, and how to write it."""
+
+
+class Shaped(Protocol):
+    """What has the shape and the type of an array."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How long it is along each axis."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The type of its numbers."""
+        ...
+
+
+Shapes = Sequence[Shaped]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,11 +95,11 @@ class Node:
 
     op: str
     operands: tuple[Node, ...]
-    params: dict[str, Any]
+    params: Params
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    dtype: np.dtype
     source: Source | None = None
-    value: NDArray[Any] | None = None
+    value: AnyArray | None = None
 
     @property
     def size(self) -> int:
@@ -117,16 +138,16 @@ class _Builder:
 
     def __init__(self, source_of: Callable[[Any], Source | None]) -> None:
         self._source_of = source_of
-        self._known: dict[Any, Node] = {}  # by what is computed, so that equal operations are one
+        self._known: dict[tuple[object, ...], Node] = {}  # by what is computed: equal ones are one
         self._nodes: list[Node] = []
 
-    def build(self, jaxpr: Any, constants: Sequence[Any]) -> Graph:
+    def build(self, jaxpr: Any, constants: Sequence[ArrayLike]) -> Graph:
         """Return the graph of a jaxpr."""
         inputs = [Node("input", (), {}, tuple(v.aval.shape), np.dtype(v.aval.dtype)) for v in jaxpr.invars]
         outputs = self._run(jaxpr, [self.constant(each) for each in constants], inputs, None)
         return Graph(inputs, outputs, _needed(self._nodes, outputs))
 
-    def constant(self, value: Any, dtype: Any = None) -> Node:
+    def constant(self, value: ArrayLike, dtype: DTypeLike | None = None) -> Node:
         """Return a constant."""
         array = np.asarray(value, dtype)
         key = ("constant", array.shape, array.dtype.str, array.tobytes())
@@ -134,7 +155,9 @@ class _Builder:
             self._known[key] = Node("constant", (), {}, array.shape, array.dtype, value=array)
         return self._known[key]
 
-    def add(self, op: str, operands: Sequence[Node], like: Any, source: Source | None, **params: Any) -> Node:
+    def add(
+        self, op: str, operands: Sequence[Node], like: Shaped, source: Source | None, **params: Any
+    ) -> Node:
         """Return the result of an operation, of the shape and type of ``like``."""
         shape, dtype = tuple(like.shape), np.dtype(like.dtype)
         simple = self._simplified(op, operands, shape, dtype, params)
@@ -151,7 +174,7 @@ class _Builder:
         self, jaxpr: Any, constants: Sequence[Node], inputs: Sequence[Node], outer: Source | None
     ) -> list[Node]:
         """Put the equations of a jaxpr in; those of a function that is called stand where the call does."""
-        values: dict[Any, Node] = dict(zip(jaxpr.constvars, constants, strict=True))
+        values: dict[object, Node] = dict(zip(jaxpr.constvars, constants, strict=True))
         values |= zip(jaxpr.invars, inputs, strict=True)
 
         def value_of(atom: Any) -> Node:
@@ -185,7 +208,7 @@ class _Builder:
         return [self.add(name, operands, out[0], source, **params)]
 
     def _whole(
-        self, name: str, operands: Sequence[Node], out: Sequence[Any], source: Source | None, params: Any
+        self, name: str, operands: Sequence[Node], out: Shapes, source: Source | None, params: Params
     ) -> list[Node]:
         """Return the results of what has several."""
         whole = Node(name, tuple(operands), params, (), np.dtype(float), source)
@@ -197,9 +220,9 @@ class _Builder:
     def _control(
         self,
         name: str,
-        params: Any,
+        params: Params,
         operands: list[Node],
-        out: Sequence[Any],
+        out: Shapes,
         source: Source | None,
         outer: Source | None,
     ) -> list[Node]:
@@ -214,7 +237,7 @@ class _Builder:
         return self._whole(name, operands, out, source, {**kept, "graphs": graphs})
 
     def _simplified(
-        self, op: str, operands: Sequence[Node], shape: tuple[int, ...], dtype: np.dtype[Any], params: Any
+        self, op: str, operands: Sequence[Node], shape: tuple[int, ...], dtype: np.dtype, params: Params
     ) -> Node | None:
         """Return what an operation comes to without being done; None if it has to be done."""
         if not operands:
@@ -236,7 +259,7 @@ class _Builder:
         return None
 
     def _simplified_view(
-        self, op: str, operands: Sequence[Node], shape: tuple[int, ...], dtype: np.dtype[Any], params: Any
+        self, op: str, operands: Sequence[Node], shape: tuple[int, ...], dtype: np.dtype, params: Params
     ) -> Node | None:
         first = operands[0]
         if op != "concatenate" and first.shape == shape and _is_identity(op, params, shape):
@@ -250,7 +273,7 @@ class _Builder:
         return None
 
 
-def _evaluated(op: str, values: Sequence[Any], dtype: np.dtype[Any]) -> Any:
+def _evaluated(op: str, values: Sequence[Any], dtype: np.dtype) -> AnyArray | None:
     """Return what an operation on constants is; None if a library might give another number."""
     if op == "convert_element_type":
         return values[0].astype(dtype)
@@ -278,7 +301,7 @@ class _Like:
     """A shape and a type."""
 
     shape: tuple[int, ...]
-    dtype: Any
+    dtype: np.dtype
 
 
 _COUNTS = ("num_consts", "num_carry", "length", "reverse")  # of scan
@@ -309,11 +332,11 @@ def _logical(op: str, operands: Sequence[Node], shape: tuple[int, ...]) -> Node 
     return None
 
 
-def _is_all(node: Node, number: Any) -> bool:
+def _is_all(node: Node, number: float) -> bool:
     return node.value is not None and bool(np.all(node.value == number))
 
 
-def _is_identity(op: str, params: Any, shape: tuple[int, ...]) -> bool:
+def _is_identity(op: str, params: Params, shape: tuple[int, ...]) -> bool:
     """Whether a view of an array of the same shape is the array."""
     if op == "transpose":
         return tuple(params["permutation"]) == tuple(range(len(shape)))
@@ -322,7 +345,7 @@ def _is_identity(op: str, params: Any, shape: tuple[int, ...]) -> bool:
     return True
 
 
-def view(op: str, values: Sequence[Any], params: Any) -> NDArray[Any]:
+def view(op: str, values: Sequence[Any], params: Params) -> AnyArray:
     """Return a view of arrays."""
     x = values[0]
     if op == "reshape":
@@ -359,12 +382,12 @@ def _needed(nodes: Sequence[Node], outputs: Iterable[Node]) -> list[Node]:
     return kept[::-1]
 
 
-def _frozen(params: Any) -> str:
+def _frozen(params: Params) -> str:
     return repr(sorted((key, repr(value)) for key, value in params.items()))
 
 
 # what a primitive of JAX is here; other names stay as they are
-Rule = Callable[[_Builder, list[Node], Sequence[Any], "Source | None", Any], Any]
+Rule = Callable[[_Builder, list[Node], Shapes, "Source | None", Params], "Node | list[Node]"]
 _RULES: dict[str, Rule] = {}
 
 
@@ -377,17 +400,17 @@ def _rule(*names: str) -> Callable[[Rule], Rule]:
 
 
 @_rule(*SAME)
-def _same(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> list[Node]:
+def _same(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> list[Node]:
     return x
 
 
 @_rule("squeeze", "expand_dims", "reshape")
-def _reshape(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _reshape(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     return b.add("reshape", x, out[0], source, shape=tuple(out[0].shape))
 
 
 @_rule("broadcast_in_dim")
-def _broadcast(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _broadcast(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     places = tuple(int(each) for each in params["broadcast_dimensions"])
     shape = tuple(out[0].shape)
     if x[0].size == math.prod(shape):  # axes of length 1 come in
@@ -396,30 +419,30 @@ def _broadcast(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -
 
 
 @_rule("transpose")
-def _transpose(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _transpose(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     order = tuple(int(each) for each in params["permutation"])
     return b.add("transpose", x, out[0], source, permutation=order)
 
 
 @_rule("slice")
-def _slice(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _slice(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     start, limit, strides = (params[key] for key in ("start_indices", "limit_indices", "strides"))
     return b.add("slice", x, out[0], source, start_indices=start, limit_indices=limit, strides=strides)
 
 
 @_rule("rev")
-def _rev(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _rev(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     return b.add("rev", x, out[0], source, dimensions=tuple(params["dimensions"]))
 
 
 @_rule("concatenate")
-def _concatenate(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _concatenate(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     parts = [each for each in x if each.size] or x[:1]
     return b.add("concatenate", parts, out[0], source, dimension=int(params["dimension"]))
 
 
 @_rule("stack")
-def _stack(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _stack(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     axis, shape = int(params["axis"]) % len(out[0].shape), list(out[0].shape)
     shape[axis] = 1
     like = _Like(tuple(shape), out[0].dtype)
@@ -428,7 +451,7 @@ def _stack(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> No
 
 
 @_rule("tile")
-def _tile(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _tile(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     times, dtype = [int(n) for n in params["reps"]], out[0].dtype
     apart = tuple(n for each in x[0].shape for n in (1, each))
     spread = tuple(n for r, each in zip(times, x[0].shape, strict=True) for n in (r, each))
@@ -441,7 +464,7 @@ def _tile(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Nod
 
 
 @_rule("split")
-def _split(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> list[Node]:
+def _split(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> list[Node]:
     axis, at, parts = params["axis"], 0, list[Node]()
     for each in out:
         start, limit = [0] * len(each.shape), list(x[0].shape)
@@ -453,12 +476,12 @@ def _split(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> li
 
 
 @_rule("convert_element_type")
-def _convert(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _convert(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     return b.add("convert_element_type", x, out[0], source)
 
 
 @_rule("integer_pow")
-def _power(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _power(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     exponent = int(params["y"])
     if not 0 < abs(exponent) <= LARGEST_POWER:
         return b.add("pow", [*x, b.constant(float(exponent))], out[0], source)
@@ -478,24 +501,24 @@ def _power(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> No
 
 
 @_rule("add_any")
-def _add(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _add(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     """Add two slopes."""
     return b.add("add", x, out[0], source)
 
 
 @_rule("square")
-def _square(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _square(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     return b.add("mul", [x[0], x[0]], out[0], source)
 
 
 @_rule("clamp")
-def _clamp(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _clamp(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     low, value, high = (_spread(b, each, out[0]) for each in x)
     return b.add("min", [b.add("max", [value, low], out[0], source), high], out[0], source)
 
 
 @_rule("iota")
-def _iota(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _iota(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     shape, axis = tuple(out[0].shape), params["dimension"]
     count = np.arange(shape[axis], dtype=out[0].dtype)
     order = [1] * len(shape)
@@ -504,7 +527,7 @@ def _iota(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Nod
 
 
 @_rule("platform_index")
-def _platform(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _platform(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     platforms = params["platforms"]
     index = next(
         (k for k, names in enumerate(platforms) if names is None or "cpu" in names), len(platforms) - 1
@@ -513,13 +536,13 @@ def _platform(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) ->
 
 
 @_rule("pad")
-def _pad(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+def _pad(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     return b.add(
         "pad", x, out[0], source, config=tuple(tuple(map(int, each)) for each in params["padding_config"])
     )
 
 
-def _spread(b: _Builder, node: Node, like: Any) -> Node:
+def _spread(b: _Builder, node: Node, like: Shaped) -> Node:
     """Return a node, of one number perhaps, with the shape of another."""
     if node.shape == tuple(like.shape):
         return node

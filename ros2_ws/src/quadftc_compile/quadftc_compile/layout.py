@@ -23,6 +23,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from quadftc_model.arrays import Array
+
 Layout = list[Any]  # as described above
 C_TYPES = {"f8": "double", "f4": "float", "b1": "bool"} | {
     f"{kind}{size}": f"{word}{8 * size}_t"
@@ -36,7 +38,7 @@ class Leaf:
     """One array of a layout."""
 
     path: tuple[str, ...]  # of fields
-    dtype: np.dtype[Any]
+    dtype: np.dtype
     shape: tuple[int, ...]
     offset: int  # bytes from the start of the struct
 
@@ -46,12 +48,12 @@ class Leaf:
         return math.prod(self.shape)
 
 
-def layout_of(tree: Any) -> Layout:
+def layout_of(tree: object) -> Layout:
     """Return the layout of nested tuples of arrays, numbers and None."""
     if tree is None:
         return ["none"]
     if isinstance(tree, tuple):
-        parts = cast("tuple[Any, ...]", tree)
+        parts = cast("tuple[object, ...]", tree)
         names: Sequence[str] | None = getattr(parts, "_fields", None)
         kind = f"{type(parts).__module__}:{type(parts).__qualname__}" if names else ""
         fields = names or [f"part{k}" for k in range(len(parts))]
@@ -75,7 +77,7 @@ def with_real(layout: Layout, real: str) -> Layout:
     return ["tuple", layout[1], [[name, with_real(each, real)] for name, each in layout[2]]]
 
 
-def numpy_type(layout: Layout) -> np.dtype[Any]:
+def numpy_type(layout: Layout) -> np.dtype:
     """Return the type of NumPy that lies in memory as the struct of a layout."""
     if layout[0] == "array":
         return np.dtype((np.dtype(layout[1]), tuple(layout[2])))
@@ -106,7 +108,7 @@ def _has_numbers(layout: Layout) -> bool:
     return layout[0] == "tuple" and (not layout[2] or any(_has_numbers(each) for _, each in layout[2]))
 
 
-def flatten(layout: Layout, tree: Any, shapes: bool = True) -> list[Any]:
+def flatten(layout: Layout, tree: object, shapes: bool = True) -> list[Array]:
     """Return the arrays of nested tuples in the order of :func:`leaves_of`; ValueError if they do not fit.
 
     Without ``shapes`` arrays may have others.
@@ -114,7 +116,7 @@ def flatten(layout: Layout, tree: Any, shapes: bool = True) -> list[Any]:
     return list(_flat(layout, tree, "", shapes))
 
 
-def _flat(layout: Layout, tree: Any, path: str, shapes: bool) -> Iterator[Any]:
+def _flat(layout: Layout, tree: Any, path: str, shapes: bool) -> Iterator[Array]:
     if layout[0] == "none":
         if tree is not None:
             raise ValueError(f"{path or 'value'}: expected None, not {type(tree).__name__}")
@@ -127,14 +129,14 @@ def _flat(layout: Layout, tree: Any, path: str, shapes: bool) -> Iterator[Any]:
             yield tree
     else:
         fields = layout[2]
-        if not isinstance(tree, tuple) or len(cast("tuple[Any, ...]", tree)) != len(fields):
+        if not isinstance(tree, tuple) or len(cast("tuple[object, ...]", tree)) != len(fields):
             found = type(cast("Any", tree)).__name__
             raise ValueError(f"{path or 'value'}: expected a tuple of {len(fields)}, not {found}")
-        for (name, inside), each in zip(fields, cast("tuple[Any, ...]", tree), strict=True):
+        for (name, inside), each in zip(fields, cast("tuple[object, ...]", tree), strict=True):
             yield from _flat(inside, each, f"{path}.{name}" if path else name, shapes)
 
 
-def unflatten(layout: Layout, leaves: Iterator[Any]) -> Any:
+def unflatten(layout: Layout, leaves: Iterator[object]) -> Any:
     """Return the nested tuples of arrays in the order of :func:`leaves_of`."""
     if layout[0] == "none":
         return None
@@ -145,7 +147,7 @@ def unflatten(layout: Layout, leaves: Iterator[Any]) -> Any:
 
 
 @functools.cache
-def kind_of(name: str) -> Callable[..., Any]:
+def kind_of(name: str) -> type[Any]:
     """Return the NamedTuple of a name "module:Name"; ValueError if it is not there any more."""
     module, _, qualified = name.partition(":")
     try:
@@ -234,7 +236,7 @@ def _snake(name: str) -> str:
 
 
 @functools.cache
-def field_comments(kind: Any) -> dict[str, str]:
+def field_comments(kind: type) -> dict[str, str]:
     """Return what the comments behind the fields of a class say of them: units, meanings."""
     try:
         source = inspect.getsource(kind)
@@ -254,7 +256,7 @@ def field_comments(kind: Any) -> dict[str, str]:
     return found
 
 
-def _summary(kind: Any) -> str:
+def _summary(kind: type) -> str:
     words = (inspect.getdoc(kind) or "").splitlines()
     return _plain(words[0]) if words and not words[0].startswith(kind.__name__ + "(") else ""
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import collections
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_compile.layout import Layout, Leaf, flatten, kind_of, leaves_of, numpy_type, unflatten
+from quadftc_model.arrays import AnyArray
 
 Bytes = NDArray[np.uint8]
 TAKEN = 4  # arrays of one shape and type that are copied at once, and then told apart
@@ -28,7 +29,7 @@ class Memory:
         self.address: int = whole.ctypes.data
         self._views = [_view(self.bytes, leaf) for leaf in self._leaves]
 
-    def write(self, tree: Any) -> None:
+    def write(self, tree: object) -> None:
         """Write nested tuples; ValueError if they have another structure."""
         for view, leaf in zip(self._views, flatten(self.layout, tree), strict=True):
             view[...] = leaf
@@ -37,7 +38,7 @@ class Memory:
         """Return nested tuples of copies."""
         return unflatten(self.layout, iter([view.copy()[()] for view in self._views]))
 
-    def leaves(self) -> list[NDArray[Any]]:
+    def leaves(self) -> list[AnyArray]:
         """Return views of all arrays, in the order of the layout."""
         return self._views
 
@@ -57,12 +58,12 @@ class Rows:
         self.address: int = whole.ctypes.data
         self._columns = [self._column(leaf) for leaf in leaves_of(layout)]
 
-    def _column(self, leaf: Leaf) -> NDArray[Any]:
+    def _column(self, leaf: Leaf) -> AnyArray:
         end = leaf.offset + leaf.size * leaf.dtype.itemsize
         column = self._bytes[:, leaf.offset : end].view(leaf.dtype)
         return column.reshape(-1, *leaf.shape) if leaf.shape else column[:, 0]
 
-    def write(self, tree: Any, count: int | None = None) -> None:
+    def write(self, tree: object, count: int | None = None) -> None:
         """Write nested tuples of arrays (count, ...), or (...) where all rows are alike."""
         for column, leaf in zip(self._columns, flatten(self.layout, tree, shapes=False), strict=True):
             column[:count] = leaf
@@ -71,7 +72,7 @@ class Rows:
         """Return the nested tuples of one row."""
         return unflatten(self.layout, iter([each[row] for each in self._columns]))
 
-    def write_row(self, row: int, tree: Any) -> None:
+    def write_row(self, row: int, tree: object) -> None:
         """Write the nested tuples of one row."""
         for column, leaf in zip(self._columns, flatten(self.layout, tree), strict=True):
             column[row] = leaf
@@ -85,12 +86,12 @@ class Rows:
         return unflatten(self.layout, iter([np.ascontiguousarray(each) for each in self._columns]))
 
 
-def _view(memory: Bytes, leaf: Leaf) -> NDArray[Any]:
+def _view(memory: Bytes, leaf: Leaf) -> AnyArray:
     end = leaf.offset + leaf.size * leaf.dtype.itemsize
     return memory[leaf.offset : end].view(leaf.dtype).reshape(leaf.shape)
 
 
-def make_writer(layout: Layout, memory: Memory) -> Callable[[Any], None]:
+def make_writer(layout: Layout, memory: Memory) -> Callable[[object], None]:
     """Return a function that writes nested tuples, as `Memory.write`, but without a check of each shape."""
     names: dict[str, Any] = {}
     lines = ["def write(x):"]
@@ -145,7 +146,7 @@ def make_reader(layout: Layout, memory: Memory) -> Callable[[], Any]:
             lines.append(f"    g = take{group}(where{group})")
             lines += [f"    r{k} = g[{place}]" for place, k in enumerate(members)]
 
-    def build(inside: Layout, numbers: Any) -> str:
+    def build(inside: Layout, numbers: Iterator[int]) -> str:
         if inside[0] == "none":
             return "None"
         if inside[0] == "array":

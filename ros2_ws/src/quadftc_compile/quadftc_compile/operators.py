@@ -7,7 +7,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+
+import numpy as np
 
 from quadftc_compile.graph import Node
 from quadftc_compile.layout import C_TYPES
@@ -78,7 +79,7 @@ _OTHERS: dict[str, Callable[[Node, Sequence[Expression], bool, str], Expression]
 ELEMENTWISE = {*SIGNS, *FUNCTIONS, *TWO_ARGUMENTS, *_OTHERS, "max", "min", "and", "or", "xor", "not"}
 
 
-def combine(op: str, dtype: Any, x: Expression, y: Expression) -> Expression:
+def combine(op: str, dtype: np.dtype, x: Expression, y: Expression) -> Expression:
     """Return what a reduction makes of two numbers."""
     if op in ("add", "mul"):
         return binary(SIGNS[op], x, y)
@@ -99,7 +100,7 @@ def _size(op: str, x: Expression, floating: bool, real: str) -> Expression:
     return choice(binary(">", x, zero), one, choice(negative, unary("-", one), x))
 
 
-def _logical(op: str, dtype: Any, x: Sequence[Expression]) -> Expression:
+def _logical(op: str, dtype: np.dtype, x: Sequence[Expression]) -> Expression:
     if op == "not":
         return unary("!" if dtype.kind == "b" else "~", x[0])
     if dtype.kind == "b":

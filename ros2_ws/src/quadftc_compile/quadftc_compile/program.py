@@ -9,15 +9,17 @@ The numbers of the law, and each argument and result, are structs. A function ta
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import inspect
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from quadftc_compile import control as _control  # noqa: F401  (these know how to write what they are called)
 from quadftc_compile import emit
@@ -36,8 +38,11 @@ from quadftc_compile.layout import (
     with_real,
 )
 from quadftc_compile.recipe import Function
-from quadftc_model.numbers import numbers_of, with_numbers
+from quadftc_model.numbers import Numbers, numbers_of, with_numbers
 from quadftc_model.parameters import parameters_of
+
+if TYPE_CHECKING:
+    import jax
 
 HERE = str(Path(__file__).parent)
 # what JAX raises where a function does something that it cannot trace, and how to write it instead
@@ -76,7 +81,7 @@ class Program:
     structs: dict[str, str]  # names by layout, as JSON
 
 
-def write_program(name: str, law: Any, functions: Mapping[str, Function], real: str = "double") -> Program:
+def write_program(name: str, law: object, functions: Mapping[str, Function], real: str = "double") -> Program:
     """Trace the functions of a law and write them in C; UntraceableError says where one cannot be traced."""
     numbers = numbers_of(law)
     with _in_double():  # whatever this process computes in
@@ -89,7 +94,7 @@ def write_program(name: str, law: Any, functions: Mapping[str, Function], real: 
     return _Writer(name, law, numbers, used, real).write(traced)
 
 
-def _in_double() -> Any:
+def _in_double() -> contextlib.AbstractContextManager[object]:
     """Return a context in which JAX traces in double precision; its name has changed in JAX 0.8."""
     import jax
 
@@ -106,7 +111,7 @@ class _Traced:
 
     function: Function
     graph: Graph
-    results: tuple[Any, ...]  # shapes and types
+    results: tuple[object, ...]  # shapes and types
 
     def reads(self, number: int) -> bool:
         """Whether it reads one of the law's numbers."""
@@ -114,13 +119,13 @@ class _Traced:
         return node in self.graph.outputs or any(node in each.operands for each in self.graph.nodes)
 
 
-def _trace(name: str, law: Any, numbers: Mapping[str, Any], function: Function) -> _Traced:
+def _trace(name: str, law: object, numbers: Mapping[str, Numbers], function: Function) -> _Traced:
     import jax
 
     arguments = list(function.arguments.values())
     shapes = jax.tree.map(_shape_of, arguments)
 
-    def run(values: Sequence[Any], *given: Any) -> Any:
+    def run(values: Sequence[object], *given: object) -> tuple[object, ...]:
         return function.call(with_numbers(law, dict(zip(numbers, values, strict=True))), *given)
 
     try:
@@ -135,7 +140,7 @@ def _trace(name: str, law: Any, numbers: Mapping[str, Any], function: Function) 
         raise UntraceableError(f"{name}: {_explain(error)}") from error
 
 
-def _check_state(function: Function, results: tuple[Any, ...]) -> None:
+def _check_state(function: Function, results: tuple[object, ...]) -> None:
     """Raise an UntraceableError where a step changes the structure of a state."""
     made = dict(zip(function.results, results, strict=True))
     if "before" not in function.arguments or "after" not in made:
@@ -151,7 +156,7 @@ def _check_state(function: Function, results: tuple[Any, ...]) -> None:
         )
 
 
-def _shape_of(value: Any) -> Any:
+def _shape_of(value: ArrayLike) -> jax.ShapeDtypeStruct:
     import jax
 
     array = np.asarray(value)
@@ -193,7 +198,7 @@ class _Writer:
     """Writes a program."""
 
     def __init__(
-        self, name: str, law: Any, numbers: Mapping[str, Any], used: Sequence[str], real: str
+        self, name: str, law: object, numbers: Mapping[str, Numbers], used: Sequence[str], real: str
     ) -> None:
         self._name, self._law, self._real = name, law, real
         self._places = {path: k for k, path in enumerate(numbers)}
@@ -377,7 +382,7 @@ def _texts_of(layout: Layout, name: str) -> list[str]:
     return found
 
 
-def _nest(numbers: Mapping[str, Any]) -> Layout:
+def _nest(numbers: Mapping[str, Numbers]) -> Layout:
     """Return the layout of a law's numbers: a struct for each part."""
     inside: dict[str, Any] = {}
     for path, value in numbers.items():
@@ -387,7 +392,7 @@ def _nest(numbers: Mapping[str, Any]) -> Layout:
             part = part.setdefault(each, {})
         part[last] = value
 
-    def layout(part: Any) -> Layout:
+    def layout(part: object) -> Layout:
         if isinstance(part, dict):
             return ["tuple", "", [[name, layout(each)] for name, each in part.items()]]
         return layout_of(part)
@@ -400,7 +405,7 @@ def path_members(path: str) -> list[str]:
     return [f"part{each}" if each.isdecimal() else each.lstrip("_") for each in path.split(".")]
 
 
-def comment_of(law: Any, path: str) -> str:
+def comment_of(law: object, path: str) -> str:
     """Return unit and meaning of a number of a law."""
     from quadftc_compile.layout import field_comments
     from quadftc_model.vehicle_table import KEYS
@@ -427,7 +432,7 @@ def comment_of(law: Any, path: str) -> str:
     return field_comments(kind).get(last, "")
 
 
-def _summary_of(law: Any) -> tuple[str, str]:
+def _summary_of(law: object) -> tuple[str, str]:
     """Return what a law is, and its name; ``named_after`` says which part of it tells more."""
     while (part := getattr(law, "named_after", None)) is not None:
         law = part

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, cast
 
 import numpy as np
 
@@ -14,8 +14,8 @@ import numpy as np
 class Function:
     """One function: ``call(law, *arguments)`` returns a tuple of results."""
 
-    call: Callable[..., tuple[Any, ...]]
-    arguments: Mapping[str, Any]  # an example of each
+    call: Callable[..., tuple[object, ...]]
+    arguments: Mapping[str, object]  # an example of each
     results: tuple[str, ...]
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])  # names of their structs
 
@@ -40,10 +40,10 @@ class Recipe:
         return [each for each in found if not each.__module__.startswith(("builtins", "numpy"))]
 
 
-def _parts(tree: Any) -> Iterator[Any]:
+def _parts(tree: object) -> Iterator[object]:
     yield tree
     if isinstance(tree, tuple):
-        inside: Any = tree  # pyright: ignore[reportUnknownVariableType]
+        inside: Iterable[object] = cast("tuple[object, ...]", tree)
     elif dataclasses.is_dataclass(tree) and not isinstance(tree, type):
         inside = [getattr(tree, field.name) for field in dataclasses.fields(tree)]
     else:
@@ -52,22 +52,22 @@ def _parts(tree: Any) -> Iterator[Any]:
         yield from _parts(each)
 
 
-def init(law: Any, inputs: Any) -> tuple[Any]:
+def init(law: Any, inputs: object) -> tuple[object]:
     """State at the first sample; a step of 0 s from it gives the output."""
     return (law.init(inputs),)
 
 
-def step(law: Any, before: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+def step(law: Any, before: object, inputs: object, dt: object) -> tuple[object, object]:
     """State and output ``dt`` [s] after the sample before."""
     return law.step(before, inputs, dt)
 
 
-def resumed(law: Any, inputs: Any, words: Any) -> tuple[Any]:
+def resumed(law: Any, inputs: object, words: object) -> tuple[object]:
     """State that resumes at a sample by last words; a step of 0 s from it gives the output."""
     return (law.resumed(inputs, words),)
 
 
-def recipe_of(law: Any, inputs: Any, words: Any = None, name: str = "") -> Recipe:
+def recipe_of(law: Any, inputs: object, words: object = None, name: str = "") -> Recipe:
     """Return the recipe of a law with ``init`` and ``step``, for inputs like an example.
 
     With an example of last ``words`` its function ``resumed`` is compiled, too.
@@ -84,7 +84,7 @@ def recipe_of(law: Any, inputs: Any, words: Any = None, name: str = "") -> Recip
     return Recipe(name or name_of(law), law, functions)
 
 
-def name_of(law: Any) -> str:
+def name_of(law: object) -> str:
     """Return the name of a law in C: its attribute ``named_after`` says which part of it tells more."""
     after = getattr(law, "named_after", None)
     return _snake(type(law).__name__) if after is None else name_of(after)

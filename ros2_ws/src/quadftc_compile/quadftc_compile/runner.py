@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from quadftc_compile.build import Entry, Library
-from quadftc_compile.layout import flatten, layout_of, leaves_of
+from quadftc_compile.layout import Layout, flatten, layout_of, leaves_of
 from quadftc_compile.memory import Memory, Rows, make_reader, make_writer
 from quadftc_model.numbers import number_at
 
@@ -51,7 +52,7 @@ class CRunner:
     A state is good for the next step; the one after that takes its memory.
     """
 
-    def __init__(self, law: Any, library: Library) -> None:
+    def __init__(self, law: object, library: Library) -> None:
         self._library, self._numbers = library, Memory(library.numbers_layout)
         entries = library.entries
         layout = entries["step"].arguments["before"]
@@ -67,29 +68,29 @@ class CRunner:
         self._back = self._step.bound(before=other, after=one)
         self.configure(law)
 
-    def configure(self, law: Any) -> bool:
+    def configure(self, law: object) -> bool:
         """Go on with the numbers of another law, which must be of the same structure."""
-        self.law = law
+        self.law: Any = law
         write_numbers(self._library, law, self._numbers)
         return True
 
-    def first(self, inputs: Any) -> tuple[CState, Any]:
+    def first(self, inputs: object) -> tuple[CState, Any]:
         """Return state and output at the first sample."""
         return self._begin(self._init, inputs)
 
-    def resumed(self, inputs: Any, words: Any) -> tuple[CState, Any]:
+    def resumed(self, inputs: object, words: object) -> tuple[CState, Any]:
         """Return state and output at a sample from which the law resumes by last words."""
         if self._resumed is None:
             raise ValueError(f"{self._library.path.name}: this law does not resume")
         self._resumed.writers["words"](words)
         return self._begin(self._resumed, inputs)
 
-    def _begin(self, call: Call, inputs: Any) -> tuple[CState, Any]:
+    def _begin(self, call: Call, inputs: object) -> tuple[CState, Any]:
         call.writers["inputs"](inputs)
         call.bound(after=self._states[0].memory)()
         return self.step(self._states[0], inputs, 0.0)
 
-    def step(self, state: Any, inputs: Any, dt: float) -> tuple[CState, Any]:
+    def step(self, state: object, inputs: object, dt: float) -> tuple[CState, Any]:
         """Advance by ``dt`` [s] to a sample; a state may also be nested tuples."""
         one, other = self._states
         if state is not one and state is not other:
@@ -103,7 +104,7 @@ class CRunner:
         self._back()
         return one, self._read_output()
 
-    def run(self, state: Any, inputs: Any, dt: Any) -> tuple[CState, Any]:
+    def run(self, state: object, inputs: object, dt: ArrayLike) -> tuple[CState, Any]:
         """Advance over many samples: inputs are nested tuples of arrays (count, ...); ``dt`` [s], too.
 
         An array without the first axis is the same at all samples. Return the state, outputs (count, ...).
@@ -120,29 +121,29 @@ class CRunner:
         entry.run(*(each.address for each in memories), count)
         return one, made.read()
 
-    def tree(self, state: Any) -> Any:
+    def tree(self, state: object) -> Any:
         """Return the nested tuples of a state: copies."""
         return state.memory.read() if isinstance(state, CState) else state
 
-    def fits(self, inputs: Any) -> bool:
+    def fits(self, inputs: object) -> bool:
         """Whether inputs have the structure that the law was compiled for."""
         return layout_of(inputs) == self._library.entries["step"].arguments["inputs"]
 
 
-def _rows(tree: Any, layout: Any) -> list[int]:
+def _rows(tree: object, layout: Layout) -> list[int]:
     """Return how many rows each array has that has one more axis than in the layout."""
     leaves = zip(flatten(layout, tree, shapes=False), leaves_of(layout), strict=True)
     return [np.shape(each)[0] for each, leaf in leaves if np.ndim(each) > len(leaf.shape)]
 
 
-def numbers_in(library: Library, law: Any) -> Memory:
+def numbers_in(library: Library, law: object) -> Memory:
     """Return the memory of the numbers of a law."""
     memory = Memory(library.numbers_layout)
     write_numbers(library, law, memory)
     return memory
 
 
-def write_numbers(library: Library, law: Any, memory: Memory) -> None:
+def write_numbers(library: Library, law: object, memory: Memory) -> None:
     """Write the numbers of a law of the structure that a library is for."""
     for path, view in zip(library.numbers, memory.leaves(), strict=True):
         view[...] = number_at(law, path)

@@ -9,7 +9,6 @@ import csv
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +33,16 @@ def sample_columns(layout: Layout) -> list[str]:
     return [TIME_STEP, *number_names(layout)]
 
 
-def write_samples(path: Path, layout: Layout, dt: Sequence[float] | NDArray[np.float64], inputs: Any) -> None:
+def write_samples(
+    path: Path, layout: Layout, dt: Sequence[float] | NDArray[np.float64], inputs: object
+) -> None:
     """Write samples: time steps (n,) [s] and inputs (n, ...); the law begins where a time step is 0.
 
     An array of the inputs without the first axis is the same in all samples.
     """
     rows = Rows(layout, len(dt))
     rows.write(inputs)
-    columns: list[list[Any]] = [[float(each) for each in dt]]
+    columns: list[list[float]] = [[float(each) for each in dt]]
     for array in flatten(layout, rows.view(), shapes=False):
         table = array.reshape(len(dt), -1)
         columns += (table.astype(int) if table.dtype.kind == "b" else table).T.tolist()

@@ -6,7 +6,7 @@ import collections
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def choice(flag: Expression, x: Expression, y: Expression) -> Expression:
     return Expression(f"{flag.within(OR)} ? {x.within(OR)} : {y.within(CHOICE)}", CHOICE)
 
 
-def literal(value: Any, real: str) -> Expression:
+def literal(value: float | np.number | np.bool_, real: str) -> Expression:
     """Return a number; floats are of the type ``real``, "double" or "float"."""
     if isinstance(value, (bool, np.bool_)):
         return Expression("true" if value else "false")

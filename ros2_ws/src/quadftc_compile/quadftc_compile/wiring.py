@@ -15,7 +15,7 @@ import functools
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -26,8 +26,11 @@ from quadftc_compile.fingerprint import fingerprint
 from quadftc_compile.layout import Layout, layout_of, leaves_of, unflatten
 from quadftc_compile.memory import Memory, Rows
 from quadftc_compile.runner import numbers_in, write_numbers
+from quadftc_model.arrays import alike
 from quadftc_model.composition import Composition, PlainCalls, RunnerCalls
 from quadftc_model.stepper import Engine
+
+T = TypeVar("T")
 
 BLOCK = 2048  # samples that are flown in one call
 CALL, COPY, SKIP = range(3)
@@ -107,7 +110,7 @@ CONDUCTOR = fingerprint("conductor", HEADER, SOURCE)  # its key
 
 
 @functools.cache
-def conductor() -> Any:
+def conductor() -> Callable[[int, int, int, int, int], None]:
     """Return the function that repeats instructions; BuildError if it cannot be compiled."""
     function = _conductor().conduct
     pointer, number = ctypes.c_void_p, ctypes.c_int64
@@ -143,7 +146,7 @@ class Token:
 
     address: int
     stride: int  # bytes to that of the next sample; 0: it lies there at every sample
-    dtype: np.dtype[Any]
+    dtype: np.dtype
     shape: tuple[int, ...]
 
     @property
@@ -173,7 +176,7 @@ class Flown(Protocol):
         """Go to the begin of a flight of a composition of the same structure."""
         ...
 
-    def run(self, inputs: Any, count: int) -> Any:
+    def run(self, inputs: object, count: int) -> Any:
         """Fly ``count`` samples, at most a `BLOCK`; inputs and outputs are arrays (count, ...)."""
         ...
 
@@ -182,7 +185,7 @@ class Flown(Protocol):
         ...
 
 
-def flown_by(engine: Engine, composition: Composition, inputs: Any) -> Flown:
+def flown_by(engine: Engine, composition: Composition, inputs: object) -> Flown:
     """Return what flies a composition, for inputs like an example: in C, if all its laws can be compiled."""
     libraries = engine.libraries(composition.laws) if isinstance(engine, CEngine) else None
     if libraries is None or not _can_conduct():
@@ -200,7 +203,7 @@ def _can_conduct() -> bool:
 class OneByOne:
     """A composition whose laws are called one by one, sample by sample."""
 
-    def __init__(self, composition: Composition, engine: Engine, inputs: Any) -> None:
+    def __init__(self, composition: Composition, engine: Engine, inputs: object) -> None:
         self._engine, self._layout = engine, layout_of(inputs)
         self.configure(composition)
 
@@ -213,7 +216,7 @@ class OneByOne:
         self._composition, self._calls = composition, RunnerCalls(composition.laws, self._engine)
         self.begin()
 
-    def run(self, inputs: Any, count: int) -> Any:
+    def run(self, inputs: object, count: int) -> Any:
         """Fly ``count`` samples; inputs and outputs are arrays (count, ...)."""
         given, made = Rows(self._layout, count), None
         given.write(inputs)
@@ -232,11 +235,11 @@ class Wiring:
     """A composition of compiled laws for one vehicle."""
 
     def __init__(
-        self, composition: Composition, libraries: Mapping[str, Library], inputs: Any, block: int = BLOCK
+        self, composition: Composition, libraries: Mapping[str, Library], inputs: object, block: int = BLOCK
     ) -> None:
         """Wire laws for inputs like an example; ValueError if the composition does more than move values."""
         self._composition, self._libraries, self._block = composition, libraries, block
-        self._held: list[Any] = []  # memory that instructions point to
+        self._held: list[object] = []  # memory that instructions point to
         self._instructions: list[tuple[int, int, int]] = []
         self._copies: list[tuple[int, int, int, int, int]] = []
         self._calls: list[tuple[int, ...]] = []
@@ -281,7 +284,7 @@ class Wiring:
         law = self._laws[name]
         return law.states[int(self._called["now"][law.number])].read()
 
-    def run(self, inputs: Any, count: int) -> Any:
+    def run(self, inputs: object, count: int) -> Any:
         """Fly ``count`` samples, at most a block; inputs and outputs are arrays (count, ...).
 
         Outputs are views, which the next call changes.
@@ -317,7 +320,7 @@ class Wiring:
         self._calls.append((*functions, *(each.address for each in order), 0))
         return StateToken(name)
 
-    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+    def step(self, name: str, state: object, inputs: object, dt: object) -> tuple[object, Any]:
         """Note the call of a law."""
         if name not in self._laws and state == ():
             state = self.init(name)
@@ -331,7 +334,7 @@ class Wiring:
         self._instructions.append((CALL, law.number, 0))
         return state, law.output
 
-    def branch(self, flag: Any, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+    def branch(self, flag: object, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
         """Note what is done where a flag holds."""
         if not isinstance(flag, Token):  # it is known
             return then() if flag else otherwise()
@@ -349,13 +352,13 @@ class Wiring:
 
     # -- memory ------------------------------------------------------------------------------------------
 
-    def _keep(self, state: Any) -> Any:
+    def _keep(self, state: object) -> object:
         """Return tokens for a state."""
         if isinstance(state, tuple):
-            return _like(state, [self._keep(each) for each in state])
+            return alike(state, [self._keep(each) for each in state])
         return state if state is None or isinstance(state, StateToken) else self._constant(state)
 
-    def _constant(self, value: Any) -> Token:
+    def _constant(self, value: object) -> Token:
         memory, array = Memory(layout_of(value)), np.asarray(value)
         memory.write(value)
         token = Token(memory.address, 0, array.dtype, array.shape)
@@ -365,17 +368,17 @@ class Wiring:
     def _keep_like(self, tree: Any) -> Any:
         """Return tokens of new memory, as large as what is in a tree; states stay themselves."""
         if isinstance(tree, tuple):
-            return _like(tree, [self._keep_like(each) for each in tree])
+            return alike(tree, [self._keep_like(each) for each in tree])
         if tree is None or isinstance(tree, StateToken):
             return tree
         dtype, shape = (tree.dtype, tree.shape) if isinstance(tree, Token) else _array(tree)
         return self._constant(np.zeros(shape, dtype))
 
-    def _layout(self, tree: Any) -> Layout:
+    def _layout(self, tree: object) -> Layout:
         if isinstance(tree, Token):
             return ["array", tree.dtype.str[1:], list(tree.shape)]
         if isinstance(tree, tuple):
-            layout = layout_of(_like(tree, [None] * len(tree)))
+            layout = layout_of(alike(tree, [None] * len(tree)))
             return [
                 "tuple",
                 layout[1],
@@ -385,7 +388,7 @@ class Wiring:
 
     # -- moves -------------------------------------------------------------------------------------------
 
-    def _move(self, source: Any, target: Any, constants_stay: bool = False) -> None:
+    def _move(self, source: object, target: object, constants_stay: bool = False) -> None:
         """Note moves of values; constants are moved at every sample, or now, if they stay where they are."""
         begin = len(self._copies)
         for value, place in _pairs(source, target):
@@ -423,9 +426,9 @@ class _Law:
     number: int
     numbers: Memory
     states: tuple[Memory, Memory]
-    inputs: Any  # tokens
-    dt: Any
-    output: Any
+    inputs: object  # tokens
+    dt: object
+    output: object
 
 
 def _tokens(layout: Layout, address: int, stride: int) -> Any:
@@ -434,17 +437,12 @@ def _tokens(layout: Layout, address: int, stride: int) -> Any:
     return unflatten(layout, iter(found))
 
 
-def _like(tree: tuple[Any, ...], parts: list[Any]) -> Any:
-    kind: Any = type(tree)
-    return kind(*parts) if hasattr(kind, "_fields") else tuple(parts)
-
-
-def _array(value: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
+def _array(value: object) -> tuple[np.dtype, tuple[int, ...]]:
     array = np.asarray(value)
     return array.dtype, array.shape
 
 
-def _pairs(source: Any, target: Any) -> Iterator[tuple[Any, Any]]:
+def _pairs(source: object, target: object) -> Iterator[tuple[Any, Any]]:
     """Yield the arrays of two nested tuples alike; ValueError if they are not."""
     if isinstance(target, tuple):
         if not isinstance(source, tuple) or len(source) != len(target):

@@ -7,7 +7,6 @@ import os
 import pickle
 import subprocess
 import sys
-from typing import Any
 
 from quadftc_compile.recipe import Recipe
 
@@ -21,7 +20,7 @@ class Worker:
         command = [sys.executable, "-m", "quadftc_compile.worker"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
-    def build(self, recipe: Recipe) -> dict[str, Any]:
+    def build(self, recipe: Recipe) -> dict[str, str]:
         """Compile a law into the cache; ``error`` says why it cannot be, ``unknown`` why not there."""
         try:
             content = pickle.dumps(recipe)
@@ -50,7 +49,7 @@ def main() -> None:
         answers.flush()
 
 
-def _answer(content: bytes) -> dict[str, Any]:
+def _answer(content: bytes) -> dict[str, str]:
     from quadftc_compile.build import BuildError, build_library
 
     try:

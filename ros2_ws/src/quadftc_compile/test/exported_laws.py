@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from small_laws import LowPass
+from small_laws import LowPass, State
 
 from quadftc_compile.export import FLAGS, Exported, export_of, write_example, write_law
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.samples import write_samples
-from quadftc_model.arrays import arcsin, arctan2, cos, exp, log, sin, sqrt, tan
+from quadftc_model.arrays import Array, Flag, Scalar, Vector, arcsin, arctan2, cos, exp, log, sin, sqrt, tan
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.samples import NO_PLACE, PositionSample, level_sample
@@ -25,26 +26,26 @@ COUNT = 60  # samples
 class TaggedInputs(NamedTuple):
     """Numbers of all kinds."""
 
-    value: Any  # [rad]
-    there: Any
-    channel: Any  # uint8
-    shift: Any  # int32
+    value: Vector  # [rad]
+    there: Flag
+    channel: Array  # uint8
+    shift: Array  # int32
 
 
 class TaggedOutput(NamedTuple):
     """Numbers of all kinds."""
 
-    mean: Any  # [rad]
-    low: Any
-    channel: Any  # uint8
-    shifts: Any  # int32, sum of all
+    mean: Vector  # [rad]
+    low: Flag
+    channel: Array  # uint8
+    shifts: Array  # int32, sum of all
 
 
 class TaggedState(NamedTuple):
     """A mean and a sum."""
 
-    filtered: Any
-    shifts: Any
+    filtered: State
+    shifts: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,7 +60,7 @@ class Tagged(LowPass):
         """Start at the value."""
         return TaggedState(super().init(inputs), 0 * inputs.shift)
 
-    def step(self, state: TaggedState, inputs: TaggedInputs, dt: Any) -> tuple[TaggedState, TaggedOutput]:
+    def step(self, state: TaggedState, inputs: TaggedInputs, dt: Scalar) -> tuple[TaggedState, TaggedOutput]:
         """Follow the value, and add up."""
         filtered, mean = super().step(state.filtered, inputs, dt)
         shifts = state.shifts + inputs.shift
@@ -69,8 +70,8 @@ class Tagged(LowPass):
 class Wave(NamedTuple):
     """Angles and a size."""
 
-    angles: Any  # [rad]
-    size: Any
+    angles: Vector  # [rad]
+    size: Scalar
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,7 +88,7 @@ class Waves(Checked):
         """Start at the inputs."""
         return inputs
 
-    def step(self, state: Wave, inputs: Wave, dt: Any) -> tuple[Wave, Wave]:
+    def step(self, state: Wave, inputs: Wave, dt: Scalar) -> tuple[Wave, Wave]:
         """Turn by the rate and the inputs."""
         turned = state.angles + self.rate * dt + inputs.angles
         angles = arctan2(sin(turned), cos(turned))
@@ -133,7 +134,7 @@ def written(exported: Exported, folder: Path) -> Path:
     return folder
 
 
-def write_inputs(exported: Exported, path: Path, dt: Any, inputs: Any) -> Path:
+def write_inputs(exported: Exported, path: Path, dt: Sequence[float], inputs: object) -> Path:
     """Write samples for a law."""
     write_samples(path, exported.layouts["inputs"], dt, inputs)
     return path

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import branch, exp, namespace, where
+from quadftc_model.arrays import Components, Flag, Scalar, Vector, branch, exp, namespace, where
 from quadftc_model.numbers import prepared
 from quadftc_model.parameters import Checked, parameter
 
@@ -15,15 +15,15 @@ from quadftc_model.parameters import Checked, parameter
 class Inputs(NamedTuple):
     """What a law sees."""
 
-    value: Any  # [rad]
-    there: Any  # it was measured
+    value: Vector  # [rad]
+    there: Flag  # it was measured
 
 
 class State(NamedTuple):
     """What a law remembers."""
 
-    mean: Any  # [rad]
-    count: Any  # samples that were there
+    mean: Vector  # [rad]
+    count: Scalar  # samples that were there
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,11 +47,11 @@ class LowPass(Checked):
         """Start at the value."""
         return State(inputs.value, namespace(inputs.value).zeros_like(inputs.value[..., 0]))
 
-    def resumed(self, inputs: Inputs, words: Any) -> State:
+    def resumed(self, inputs: Inputs, words: Vector) -> State:
         """Start at a mean that is known."""
         return self.init(inputs)._replace(mean=words)
 
-    def step(self, state: State, inputs: Inputs, dt: Any) -> tuple[State, Any]:
+    def step(self, state: State, inputs: Inputs, dt: Scalar) -> tuple[State, Vector]:
         """Follow the value."""
         xp = namespace(inputs.value)
         share = 1.0 - exp(-dt / self.time)
@@ -67,7 +67,7 @@ class LowPass(Checked):
 class Branching(LowPass):
     """A law that branches on data."""
 
-    def step(self, state: State, inputs: Inputs, dt: Any) -> tuple[State, Any]:
+    def step(self, state: State, inputs: Inputs, dt: Scalar) -> tuple[State, Vector]:
         """Do one thing or the other."""
         if inputs.value[0] > 0.0:
             return state, inputs.value
@@ -78,7 +78,7 @@ class Branching(LowPass):
 class Floating(LowPass):
     """A law that makes a number of Python from an array."""
 
-    def step(self, state: State, inputs: Inputs, dt: Any) -> tuple[State, Any]:
+    def step(self, state: State, inputs: Inputs, dt: Scalar) -> tuple[State, Vector]:
         """Do so."""
         size = float(inputs.value[0])
         return state, size * inputs.value
@@ -88,15 +88,15 @@ class Floating(LowPass):
 class Rotation(Checked):
     """Products of complex numbers in pairs, which compilers like to fuse; its state is one array."""
 
-    def example(self) -> Any:
+    def example(self) -> Components:
         """Return inputs as it takes them."""
         return np.zeros(8)
 
-    def init(self, inputs: Any) -> Any:
+    def init(self, inputs: Components) -> Components:
         """Start at the inputs."""
         return inputs
 
-    def step(self, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+    def step(self, state: Components, inputs: Components, dt: Scalar) -> tuple[Components, Components]:
         """Multiply with the inputs."""
         xp = namespace(inputs)
         (a, b), (c, d) = (each.reshape(4, 2).T for each in (state, inputs))
@@ -107,8 +107,8 @@ class Rotation(Checked):
 class Reserved(NamedTuple):
     """A state whose fields are words of C."""
 
-    double: Any
-    short: Any
+    double: Vector
+    short: Scalar
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,7 +121,7 @@ class Keywords(Checked):
         """Start at the value."""
         return Reserved(inputs.value, 0.0 * inputs.value[..., 0])
 
-    def step(self, state: Reserved, inputs: Inputs, dt: Any) -> tuple[Reserved, Any]:
+    def step(self, state: Reserved, inputs: Inputs, dt: Scalar) -> tuple[Reserved, Vector]:
         """Follow the value."""
         double = state.double + self.register * (inputs.value - state.double)
         return Reserved(double, state.short + dt), double

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from quadftc_compile.build import build_library
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.runner import CRunner
 from quadftc_compile.wiring import OneByOne, Wiring
+from quadftc_model.arrays import Flag, Scalar, Vector
 from quadftc_model.composition import RunnerCalls
 from quadftc_model.stepper import NumpyRunner
 
@@ -25,18 +26,18 @@ COUNT = 50
 
 
 class State(NamedTuple):
-    slow: Any
-    fast: Any
-    spin: Any
-    last: Any  # of the fast filter
-    older: Any
-    empty: Any
+    slow: object
+    fast: object
+    spin: object
+    last: Vector  # of the fast filter
+    older: Vector
+    empty: Vector
 
 
 class Row(NamedTuple):
-    value: Any
-    there: Any
-    dt: Any
+    value: Vector
+    there: Flag
+    dt: Scalar
 
 
 @dataclasses.dataclass(frozen=True)
