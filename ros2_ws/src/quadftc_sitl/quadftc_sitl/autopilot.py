@@ -9,8 +9,9 @@ import abc
 import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
+from quadftc_model.assembly import NodeParameters
 from quadftc_sim.autopilot import AutopilotPhysics
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.simulator import Simulator
@@ -82,7 +83,7 @@ class Autopilot(abc.ABC):
 
     name: ClassVar[str]  # one of `NAMES`
     title: ClassVar[str]
-    sensors: ClassVar[Mapping[str, Any]]  # parameters of the plant: what it gets from us besides the IMU
+    sensors: ClassVar[NodeParameters]  # parameters of the plant: what it gets from us besides the IMU
     takes_failures: ClassVar[bool] = False  # by MAV_CMD_INJECT_FAILURE
     logs: ClassVar[str]  # pattern of the logs that it leaves in its folder
     server: ClassVar[type[Server]]

@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
 from quadftc_flight.run_files import RunError
+from quadftc_flight.summary import Summary
 from quadftc_sitl.firmware import SitlError, die_with_parent, parameter_file
 from quadftc_sitl.plan import SitlPlan, plan_of_text
 from quadftc_sitl.sitl_flight import SUMMARY, fly_sitl
@@ -54,7 +55,7 @@ def fly_jobs(
     resume: bool,
     follow: Callable[[int], object],
     live: Live | None = None,
-) -> list[dict[str, Any]]:
+) -> list[Summary]:
     """Fly jobs, so many side by side; return their summaries in order. Only one at a time can be ``live``.
 
     With ``resume`` those that were flown are kept. A flight that could not be flown has a summary with
@@ -80,7 +81,7 @@ def fly_jobs(
     return [found[number] for number in range(len(jobs))]
 
 
-def fly_job(job: Job, live: Live | None = None) -> dict[str, Any]:
+def fly_job(job: Job, live: Live | None = None) -> Summary:
     """Fly one job in this process; return its summary."""
     plan = plan_of_text(job.text, job.scheme, job.name, job.autopilot)
     try:
@@ -91,7 +92,7 @@ def fly_job(job: Job, live: Live | None = None) -> dict[str, Any]:
     return result
 
 
-def _stored(job: Job, resume: bool) -> dict[str, Any] | None:
+def _stored(job: Job, resume: bool) -> Summary | None:
     """Return the summary of a flight that was flown; clear what is left of one that was not."""
     if not job.out.exists():
         return None
@@ -117,7 +118,7 @@ def clear(folder: Path) -> None:
     shutil.rmtree(folder)
 
 
-def write_lost(jobs: Sequence[Job], summaries: Sequence[Mapping[str, Any]], out: Path) -> list[Path]:
+def write_lost(jobs: Sequence[Job], summaries: Sequence[Summary], out: Path) -> list[Path]:
     """Write the scenario of each lost flight, with the parameters that files gave, to be flown again.
 
     They are in the folder ``lost``; the first line of a scenario is the command.

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Generator, Iterator, Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -16,8 +15,11 @@ RETRY = 1.0  # s; until something unanswered is sent again
 TRIES = 5
 EKF_LANE_SWITCH, HIGH = 103.0, 2.0  # auxiliary function of ArduPilot, and position of its switch
 COMES_DOWN = ("LAND", "RTL")
-RESULTS = {number: entry.name for number, entry in dialect.enums["MAV_RESULT"].items()}
+RESULTS: Mapping[int | None, str] = {
+    number: entry.name for number, entry in dialect.enums["MAV_RESULT"].items()
+}
 
+Asked = Generator[None, None, int | None]  # its result is a MAV_RESULT; None: there was no answer
 Steps = Iterator[None]
 
 
@@ -46,7 +48,7 @@ class Commander:
             yield from self._until(lambda: self.journal.mode_name == name, RETRY)
             decision.answer = f"{RESULTS.get(answer, 'no answer')}, mode {self.journal.mode_name}"
 
-    def _ask_mode(self, name: str) -> Iterator[Any]:
+    def _ask_mode(self, name: str) -> Asked:
         """Ask for a mode; return the MAV_RESULT. One that is refused has not been asked for."""
         before, self.journal.asked_mode = self.journal.asked_mode, name
         self.journal.may_disarm |= name in COMES_DOWN
@@ -57,7 +59,7 @@ class Commander:
             self.journal.asked_mode = before
         return answer
 
-    def _command(self, number: int, *parameters: float) -> Iterator[Any]:
+    def _command(self, number: int, *parameters: float) -> Asked:
         """Send a command until it is answered; return its MAV_RESULT, None without an answer."""
         self.journal.acknowledged.pop(number, None)
         for _ in range(TRIES):
@@ -66,7 +68,7 @@ class Commander:
                 return self.journal.acknowledged[number]
         return None
 
-    def _until(self, condition: Callable[[], bool], patience: float) -> Iterator[Any]:
+    def _until(self, condition: Callable[[], bool], patience: float) -> Generator[None, None, bool]:
         """Wait for a condition, so many seconds at most; return whether it holds."""
         end = self.journal.now + patience
         while not condition() and self.journal.now < end:

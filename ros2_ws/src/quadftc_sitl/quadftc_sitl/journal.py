@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -53,7 +53,7 @@ class Journal:
         self.events: list[Event] = []
         self.kind: int | None = None  # of the vehicle, MAV_TYPE; None: no heartbeat yet
         self.autopilot = 0  # MAV_AUTOPILOT
-        self.source = (1, 1)  # its system and component
+        self.source: tuple[int, int] = (1, 1)  # its system and component
         self.mode = -1
         self.asked_mode = ""  # that we have asked for last; empty: none yet
         self.armed = False
@@ -73,7 +73,7 @@ class Journal:
         self._chunks: dict[tuple[int, int], str] = {}  # parts of long texts
         self._severity = 0  # of the last part
 
-    def hear(self, message: Any) -> None:
+    def hear(self, message: dialect.MAVLink_message) -> None:
         """Note a message."""
         handler = getattr(self, f"_on_{message.get_type().lower()}", None)
         if handler is not None:
@@ -109,7 +109,7 @@ class Journal:
     def _note(self, kind: str, words: str, serious: bool) -> None:
         self.events.append(Event(round(self.now, 4), kind, words, serious))
 
-    def _on_heartbeat(self, message: Any) -> None:
+    def _on_heartbeat(self, message: dialect.MAVLink_heartbeat_message) -> None:
         if message.type == dialect.MAV_TYPE_GCS or message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
             return
         self.source = (message.get_srcSystem(), message.get_srcComponent())
@@ -123,7 +123,7 @@ class Journal:
             is_ours = self.asked_mode in ("", self.mode_name, self.BEFORE.get(self.mode_name))
             self._note("mode", f"mode {self.mode_name}", armed and not is_ours)
 
-    def _on_statustext(self, message: Any) -> None:
+    def _on_statustext(self, message: dialect.MAVLink_statustext_message) -> None:
         words = message.text.rstrip("\0\t")
         if message.id:  # the text is longer than a message
             key = message.get_srcComponent(), message.id
@@ -139,7 +139,7 @@ class Journal:
         serious = severity <= SERIOUS and not why_not_armed
         self._note("lane" if LANE in words else "text", words, serious)
 
-    def _on_sys_status(self, message: Any) -> None:
+    def _on_sys_status(self, message: dialect.MAVLink_sys_status_message) -> None:
         present = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled
         health = message.onboard_control_sensors_health
         self.can_arm = bool(health & dialect.MAV_SYS_STATUS_PREARM_CHECK)
@@ -149,10 +149,10 @@ class Journal:
                 good = bool(health & bit)
                 self._note("health", f"{name} {'healthy' if good else 'unhealthy'}", not good)
 
-    def _on_extended_sys_state(self, message: Any) -> None:
+    def _on_extended_sys_state(self, message: dialect.MAVLink_extended_sys_state_message) -> None:
         self.landed_state = message.landed_state
 
-    def _on_ekf_status_report(self, message: Any) -> None:
+    def _on_ekf_status_report(self, message: dialect.MAVLink_ekf_status_report_message) -> None:
         self._note_estimate(message.flags, bool(message.flags & GLITCH))
 
     def _note_estimate(self, flags: int, glitch: bool) -> None:
@@ -161,11 +161,11 @@ class Journal:
             self._note("estimator", ESTIMATES[state], state != 1)
             self._estimator = state
 
-    def _on_local_position_ned(self, message: Any) -> None:
+    def _on_local_position_ned(self, message: dialect.MAVLink_local_position_ned_message) -> None:
         self.position = message.x, message.y, message.z
         self.boot_offset = 1e-3 * message.time_boot_ms - self.now
 
-    def _on_autopilot_version(self, message: Any) -> None:
+    def _on_autopilot_version(self, message: dialect.MAVLink_autopilot_version_message) -> None:
         number = message.flight_sw_version
         names = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: "official"}
         parts = number >> 24, number >> 16 & 255, number >> 8 & 255
@@ -175,16 +175,16 @@ class Journal:
     def _commit(self, custom: bytes) -> str:
         return custom.rstrip(b"\0").decode("ascii", "replace")
 
-    def _on_param_value(self, message: Any) -> None:
+    def _on_param_value(self, message: dialect.MAVLink_param_value_message) -> None:
         self.parameters[message.param_id.rstrip("\0")] = message.param_value
 
-    def _on_command_ack(self, message: Any) -> None:
+    def _on_command_ack(self, message: dialect.MAVLink_command_ack_message) -> None:
         self.acknowledged[message.command] = message.result
 
-    def _on_mission_request(self, message: Any) -> None:
+    def _on_mission_request(self, message: dialect.MAVLink_mission_request_message) -> None:
         self.wanted_item = message.seq
 
     _on_mission_request_int = _on_mission_request
 
-    def _on_mission_ack(self, message: Any) -> None:
+    def _on_mission_ack(self, message: dialect.MAVLink_mission_ack_message) -> None:
         self.mission_result = message.type

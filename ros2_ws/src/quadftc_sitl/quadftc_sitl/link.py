@@ -11,6 +11,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from quadftc_model.arrays import Vector
 from quadftc_sitl.firmware import LOOPBACK
 
 GROUND = 255, 190  # MAVLink's system and component of a ground station
@@ -32,10 +33,10 @@ class MavlinkLink:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((address, port))
         self._socket.setblocking(False)
-        self._peer: Any = None
+        self._peer: tuple[str, int] | None = None
         self._mavlink = dialect.MAVLink(self, srcSystem=source[0], srcComponent=source[1])
         self._mavlink.robust_parsing = True
-        self.target = (1, 1)  # system and component of the autopilot
+        self.target: tuple[int, int] = (1, 1)  # system and component of the autopilot
         self.strangers = 0  # packets from elsewhere
         self.spoke = 0.0  # when the autopilot did last, by the monotonic clock [s]
 
@@ -54,9 +55,9 @@ class MavlinkLink:
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, self._peer)
 
-    def receive(self) -> list[Any]:
+    def receive(self) -> list[dialect.MAVLink_message]:
         """Return the messages that have come."""
-        found: list[Any] = []
+        found: list[dialect.MAVLink_message] = []
         with contextlib.suppress(OSError):  # no more
             while True:
                 data, sender = self._socket.recvfrom(PACKET)
@@ -66,7 +67,7 @@ class MavlinkLink:
                     self.strangers += 1
                     continue
                 self.spoke = time.monotonic()
-                parsed: Any = self._mavlink.parse_buffer(data) or []
+                parsed = self._mavlink.parse_buffer(data) or []
                 found += [each for each in parsed if each.get_type() != "BAD_DATA"]
         return found
 
@@ -98,7 +99,9 @@ class MavlinkLink:
             value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
         self._mavlink.param_set_send(*self.target, name.encode(), value, kind)
 
-    def fly_to(self, time: float, position: Any, velocity: Any, acceleration: Any, yaw: float) -> None:
+    def fly_to(
+        self, time: float, position: Vector, velocity: Vector, acceleration: Vector, yaw: float
+    ) -> None:
         """Send a setpoint: north, east, down from the origin of the estimator [m], and its derivatives."""
         place: Any = (*position, *velocity, *acceleration, yaw, 0.0)
         frame, mask = dialect.MAV_FRAME_LOCAL_NED, dialect.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE

@@ -21,6 +21,7 @@ import numpy as np
 from quadftc_compile.engine import engine_named
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_flight.scenario import node_parameters
+from quadftc_model.arrays import Components
 from quadftc_model.samples import (
     DiagnosisReport,
     FaultEstimate,
@@ -31,6 +32,7 @@ from quadftc_model.samples import (
 from quadftc_sim.assembly import EPOCH_NS, simulator_from
 from quadftc_sim.autopilot import Shown
 from quadftc_sim.simulator import Simulator
+from quadftc_sim.vehicle_simulation import FreeMotion
 from quadftc_sitl.autopilot import Server
 from quadftc_sitl.firmware import Firmware, SitlError
 from quadftc_sitl.plan import SitlPlan
@@ -56,13 +58,13 @@ class Physics:
         plant: Any = scenario.plant
         self.stand = -float(plant.feet[0, 2])  # m; its height on the ground
         values |= {**plan.autopilot.sensors, "start": [*start, self.stand]}
-        self._values: dict[str, Any] = values
+        self._values: dict[str, object] = {**values}
         self.injector = NotedInjector(scenario.seed, (), plant.command_size, self._engine)
         self._physics = plan.autopilot.physics(self._simulator, lambda: self.injector, plan.rate)
         self._diagnosis = Diagnosis(plan.scheme.observer.law, self._engine, flies=True)
         self._vehicle = plant.vehicle
         self.law = self._simulator(plan.rate).law  # of its motion
-        self._speeds: deque[Any] = deque(maxlen=scenario.sensor.delay + 1)
+        self._speeds: deque[Components] = deque(maxlen=scenario.sensor.delay + 1)
         self.reports: list[DiagnosisReport] = []
         self.estimate: FaultEstimate | None = None  # of the last sample, and what is reported of it
         self.report: DiagnosisReport | None = None
@@ -141,7 +143,7 @@ class Fate:
         self.words = ""  # how it was lost; empty: it was not
         self.stands = True  # on the ground, at rest
 
-    def step(self, motion: Any, reference: PositionReference) -> bool:
+    def step(self, motion: FreeMotion, reference: PositionReference) -> bool:
         """Look at a sample of the flight; return whether the vehicle is lost."""
         x, y = motion.q_xyzw[:2]
         tilt = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))

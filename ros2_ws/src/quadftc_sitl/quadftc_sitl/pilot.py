@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_control.trajectory import combined
+from quadftc_model.samples import PositionReference
 from quadftc_sim.autopilot import to_ned
 from quadftc_sitl.commander import COMES_DOWN, RETRY, TRIES, Commander, Steps
 from quadftc_sitl.firmware import SitlError
@@ -92,8 +92,8 @@ class Pilot(Commander):
         """The vehicle is in the air, and not lost."""
         return self.journal.armed and self.lost is None
 
-    def reference(self, now: float) -> Any:
-        """Return where the vehicle shall be at a time [s], `PositionReference`; before 0 where it begins."""
+    def reference(self, now: float) -> PositionReference:
+        """Return where the vehicle shall be at a time [s]; before 0 where it begins."""
         elapsed = 0.0 if self.began is None else max(0.0, now - self.began)
         return combined(self._trajectories, elapsed)
 

@@ -28,14 +28,14 @@ import re
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import pydantic
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from quadftc_flight.scenario import Check, Document, Problem, Scenario, Scheme, build_scenario, problems_of
-from quadftc_flight.scenario.document import ScenarioError, parse_document
+from quadftc_flight.scenario.document import Keys, ScenarioError, parse_document
 from quadftc_model.units import quantity
 from quadftc_sitl.autopilot import NAMES, Autopilot, autopilot_named
 from quadftc_sitl.drawing import draw
@@ -135,8 +135,8 @@ class Entry(_Shape):
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-    faults: list[dict[str, Any]] = []  # as under `faults` of a scenario
-    own: list[dict[str, Any]] = []  # as `OwnFault`
+    faults: list[dict[str, object]] = []  # as under `faults` of a scenario
+    own: list[dict[str, object]] = []  # as `OwnFault`
     flights: int = Field(default=1, ge=1, le=100_000)
 
 
@@ -167,7 +167,7 @@ class SitlPlan:
         return self.scenario.name
 
     @property
-    def raw(self) -> dict[str, Any]:
+    def raw(self) -> dict[str, object]:
         """The scenario as plain data, with the key ``autopilot``."""
         section = self.section.model_dump(mode="json", exclude_none=True, exclude={"catalogue"})
         return {**self.scenario.raw, KEY: section}
@@ -218,11 +218,15 @@ def plans_of_catalogue(
         for seed in range(first, first + (flights or entry.flights)):
             generator = np.random.default_rng([zlib.crc32(entry.name.encode()), seed])
             try:
-                ours, own = draw([entry.faults, entry.own], generator)
+                ours, own = draw(entry.faults, generator), draw(entry.own, generator)
             except ValueError as error:
                 raise document.error([Problem((KEY, "catalogue", number), str(error))]) from None
             name = f"{entry.name}-{seed}"
-            changes: dict[tuple[str | int, ...], Any] = {("name",): name, ("faults",): ours, ("seed",): seed}
+            changes: dict[Keys, object] = {
+                ("name",): name,
+                ("faults",): ours,
+                ("seed",): seed,
+            }
             changes |= {(KEY, "faults"): own, (KEY, "catalogue"): []}
             plans.append(plan_of(document.replaced(changes, f"catalogue, '{entry.name}'"), scheme, autopilot))
     return plans

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from quadftc_model.samples import ImuSample
+from quadftc_model.arrays import Vector
+from quadftc_model.samples import ImuSample, PositionSample
 from quadftc_sim.autopilot import AutopilotPhysics, speeds_of_shares, to_frd, to_ned
 from quadftc_sim.barometer import pressure_height, standard_pressure
 from quadftc_sim.injector import FaultInjector
@@ -59,7 +60,7 @@ class PX4Physics(AutopilotPhysics):
         self._mavlink: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=200)
         self._field, self._pressure = np.zeros(3), standard_pressure(HOME[2])
 
-    def answer(self, data: bytes, sender: Any = None) -> bytes | None:
+    def answer(self, data: bytes, sender: object = None) -> bytes | None:
         """Fly one period under the outputs of a packet; return the sensors; None for no such packet."""
         if self._simulator is None:
             return self.begin(self._rate).line
@@ -100,7 +101,7 @@ class PX4Physics(AutopilotPhysics):
             self._field, updated = GAUSS * to_frd(emission.field), updated | FIELD_FIELDS
         if emission.pressure is not None:
             self._pressure, updated = emission.pressure, updated | PRESSURE_FIELDS
-        motion: Any = (*to_frd(sample.specific_force), *to_frd(sample.body_rate), *self._field)
+        motion = (*to_frd(sample.specific_force), *to_frd(sample.body_rate), *self._field)
         air = HECTOPASCAL * self._pressure, 0.0, pressure_height(self._pressure), TEMPERATURE
         units = [updated, *[IMU_FIELDS] * (IMUS - 1)]
         sensors = [
@@ -111,20 +112,20 @@ class PX4Physics(AutopilotPhysics):
         before = b"" if place is None or not place.there else self._position(stamp, place)
         return before + b"".join(sensors)
 
-    def _position(self, stamp: int, place: Any) -> bytes:
+    def _position(self, stamp: int, place: PositionSample) -> bytes:
         """Write what the position sensor says."""
         east, north, up = map(float, place.position)
         velocity = 1e2 * to_ned(place.velocity)
         width = DEGREE * math.cos(math.radians(HOME[0]))
         degrees = HOME[0] + north / DEGREE, HOME[1] + east / width
-        where: Any = *(round(1e7 * each) for each in degrees), round(1e3 * (HOME[2] + up)), *ACCURACY
-        speeds: Any = round(math.hypot(velocity[0], velocity[1])), *map(round, velocity)
+        where = *(round(1e7 * each) for each in degrees), round(1e3 * (HOME[2] + up)), *ACCURACY
+        speeds = round(math.hypot(velocity[0], velocity[1])), *map(round, velocity)
         heading = round(1e2 * course(velocity))
         message = self._mavlink.hil_gps_encode(stamp, FIX_3D, *where, *speeds, heading, SATELLITES)
         return message.pack(self._mavlink)
 
 
-def course(velocity: Any) -> float:
+def course(velocity: Vector) -> float:
     """Return the course [deg] of a velocity, north and east first, from 0 to 360."""
     return math.degrees(math.atan2(velocity[1], velocity[0])) % 360.0
 
@@ -184,7 +185,7 @@ class PX4Server(Server):
                 if not data:  # PX4 has gone
                     time.sleep(patience)
                     return []
-                messages: Any = self._mavlink.parse_buffer(data) or []
+                messages = self._mavlink.parse_buffer(data) or []
                 if outputs := [m for m in messages if m.get_type() == "HIL_ACTUATOR_CONTROLS"]:
                     self._heard = time.monotonic()
                     return [bytes(outputs[-1].get_msgbuf())]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -46,7 +45,7 @@ class PX4Journal(Journal):
     BEFORE: Mapping[str, str] = {"LOITER": "MISSION"}
     REFUSALS = ("Preflight Fail:", "Arming denied:")
 
-    def hear(self, message: Any) -> None:
+    def hear(self, message: dialect.MAVLink_message) -> None:
         """Note a message; a long text ends where another message comes."""
         if message.get_type() != "STATUSTEXT":
             for words in self._chunks.values():
@@ -59,10 +58,10 @@ class PX4Journal(Journal):
         number = self.mode_number(name)
         return float(number >> 16 & 255), float(number >> 24)
 
-    def _on_estimator_status(self, message: Any) -> None:
+    def _on_estimator_status(self, message: dialect.MAVLink_estimator_status_message) -> None:
         self._note_estimate(message.flags, bool(message.flags & dialect.ESTIMATOR_GPS_GLITCH))
 
-    def _on_param_value(self, message: Any) -> None:
+    def _on_param_value(self, message: dialect.MAVLink_param_value_message) -> None:
         """Note a value; that of an integer comes as its bits."""
         name = message.param_id.rstrip("\0")
         self.integers[name] = message.param_type == dialect.MAV_PARAM_TYPE_INT32

@@ -6,9 +6,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,7 +33,7 @@ class Recorder:
         """Create the bag, with the truth of faults on some channels; OSError if that cannot be done."""
         self.problem = ""  # why the recording has ended; empty: it has not
         self._file = BagFile(directory, attachments, {"mode": "lockstep"}, "zstd", CHUNK)
-        self._rows: dict[str, dict[str, list[Any]]] = {}
+        self._rows: dict[str, dict[str, list[object]]] = {}
         self._messages: list[Message] = []
         self._write_report = DiagnosisWire()
         self._truth = {channel: topic for channel, topic in TRUTH.items() if channel in channels}
@@ -98,7 +97,7 @@ class Recorder:
         """Messages that were written, by topic."""
         return dict(self._file.counts)
 
-    def _put(self, topic: str, stamp_ns: int, **fields: Any) -> None:
+    def _put(self, topic: str, stamp_ns: int, **fields: object) -> None:
         columns = self._rows.setdefault(topic, {})
         columns.setdefault("stamp_ns", []).append(stamp_ns)
         for name, value in fields.items():
@@ -123,7 +122,7 @@ class Recorder:
 
         self._try(write)
 
-    def _try(self, action: Any) -> None:
+    def _try(self, action: Callable[[], object]) -> None:
         try:
             action()
         except OSError as error:

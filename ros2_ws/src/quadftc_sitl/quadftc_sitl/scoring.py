@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 
 from quadftc_flight.scenario import Fault
+from quadftc_flight.summary import Summary
 from quadftc_model.samples import DiagnosisReport
 from quadftc_model.spec import parse_spec
 from quadftc_sim.injection import AXES
 from quadftc_sim.rotor_fault import ROTOR
 from quadftc_sitl.journal import Event
 from quadftc_sitl.plan import SitlPlan
+
+Told = dict[str, Any]  # part of sitl.json: of a fault, or of what was said of it
 
 AFTERWARDS = 5.0  # s; what is said up to then after a fault has ended counts as said of it
 EARLY = 1.0  # s; an onset that is found this much before the fault is still its own
@@ -23,9 +26,9 @@ SIZES = ("value", "rate", "sigma")  # of our faults, what says how large they ar
 ATTITUDE = ("roll", "pitch", "yaw")
 
 
-def describe_faults(plan: SitlPlan, ours: Iterable[Fault] | None = None) -> list[dict[str, Any]]:
+def describe_faults(plan: SitlPlan, ours: Iterable[Fault] | None = None) -> list[Told]:
     """Return the truth: what fails in a flight, where and when [s]; ``ours`` in place of the scenario's."""
-    faults: list[dict[str, Any]] = []
+    faults: list[Told] = []
     for fault in plan.scenario.faults if ours is None else ours:
         injection, channel = fault.injection, fault.injection.channel
         numbers = np.flatnonzero(injection.mask).tolist()
@@ -35,7 +38,7 @@ def describe_faults(plan: SitlPlan, ours: Iterable[Fault] | None = None) -> list
             elements = [(ATTITUDE if channel == "attitude" else "xyz")[number] for number in numbers]
         truth = {"source": "sensor" if channel != ROTOR else "rotor", "component": channel}
         values = parse_spec(fault.spec).values
-        size = next((float(values[key]) for key in SIZES if isinstance(values.get(key), str)), None)
+        size = next((float(value) for key in SIZES if isinstance(value := values.get(key), str)), None)
         faults.append(
             {**truth, "elements": elements, "kind": injection.kind, "spec": fault.spec, "size": size}
             | {"start": injection.start, "stop": injection.stop}
@@ -60,7 +63,7 @@ def _elements_of(component: str, values: Mapping[str, float]) -> list[str]:
     return [name[-1].lower() for name in values if name[-2:] in ("_X", "_Y", "_Z")]
 
 
-def noticed(fault: Mapping[str, Any], events: Sequence[Event]) -> dict[str, Any]:
+def noticed(fault: Told, events: Sequence[Event]) -> Told:
     """Return what the autopilot said from a fault on: the first that was serious, and all of it."""
     during = [event for event in events if fault["start"] <= event.time < fault["stop"] + AFTERWARDS]
     first = next((event for event in during if event.serious), None)
@@ -75,11 +78,11 @@ def noticed(fault: Mapping[str, Any], events: Sequence[Event]) -> dict[str, Any]
     }
 
 
-def observed(fault: Mapping[str, Any], reports: Iterable[DiagnosisReport], begin_ns: int) -> dict[str, Any]:
+def observed(fault: Told, reports: Iterable[DiagnosisReport], begin_ns: int) -> Told:
     """Return what our fault observer said of a fault; ``named`` is None for what it is not told of."""
     if fault["source"] == "autopilot":
         return {"named": None, "delay_s": None, "as": [], "others": []}
-    named: dict[str, Any] = {"named": False, "delay_s": None, "as": [], "others": []}
+    named: Told = {"named": False, "delay_s": None, "as": [], "others": []}
     for report in reports:
         elapsed = 1e-9 * (report.stamp_ns - begin_ns) - fault["start"]
         if not 0.0 <= elapsed < fault["stop"] - fault["start"] + AFTERWARDS:
@@ -95,7 +98,7 @@ def observed(fault: Mapping[str, Any], reports: Iterable[DiagnosisReport], begin
     return named
 
 
-def is_it(fault: Mapping[str, Any], component: str, element: str, rivals: Sequence[str] = ()) -> bool:
+def is_it(fault: Told, component: str, element: str, rivals: Sequence[str] = ()) -> bool:
     """Return whether a finding is this fault: by component and element, or by what it might be as well."""
     names = [(component.rstrip("0123456789 "), element)]
     names += [tuple(rival.partition("/")[::2]) for rival in rivals if "/" in rival]
@@ -108,7 +111,7 @@ def is_it(fault: Mapping[str, Any], component: str, element: str, rivals: Sequen
     )
 
 
-def metrics_of(result: Mapping[str, Any], errors: Sequence[float]) -> dict[str, Any]:
+def metrics_of(result: Summary, errors: Sequence[float]) -> dict[str, float | None]:
     """Return the numbers of a flight that a scenario can check, by name; None: there is none."""
     faults = result["faults"]
 
@@ -139,9 +142,7 @@ def metrics_of(result: Mapping[str, Any], errors: Sequence[float]) -> dict[str, 
     }
 
 
-def _false(
-    faults: Sequence[Mapping[str, Any]], said: Sequence[Mapping[str, Any]], key: str
-) -> list[Mapping[str, Any]]:
+def _false(faults: Sequence[Told], said: Sequence[Told], key: str) -> list[Told]:
     """Return what was said of components that are healthy, or too early."""
     return [
         each

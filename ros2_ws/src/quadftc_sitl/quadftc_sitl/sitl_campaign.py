@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.distributions import plain
@@ -26,7 +26,7 @@ class CampaignFlight(NamedTuple):
     """A flight of a campaign, and what was drawn for it, by path."""
 
     plan: SitlPlan
-    drawn: Mapping[str, Any]
+    drawn: Mapping[str, object]
 
 
 def campaign_flights(
@@ -56,11 +56,11 @@ def campaign_flights(
     return found
 
 
-def _told(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _told(values: Mapping[str, object]) -> Iterator[tuple[str, object]]:
     """Yield what the report tells of drawn values; of components texts, as their numbers differ in unit."""
     for path, value in values.items():
         if isinstance(value, Mapping):
-            parts = ((key, plain(each)) for key, each in cast("Mapping[str, Any]", value).items())
+            parts = ((key, plain(each)) for key, each in cast("Mapping[str, object]", value).items())
             yield from ((f"{path}.{key}", each) for key, each in parts if not isinstance(each, float))
         elif path != SEED:
             yield path, plain(value)
@@ -81,7 +81,7 @@ def flights_of_file(
     flights: int | None,
     seed: str,
     assignments: Sequence[str],
-) -> tuple[list[SitlPlan], dict[str, Mapping[str, Any]] | None]:
+) -> tuple[list[SitlPlan], dict[str, Mapping[str, object]] | None]:
     """Build what is to be flown of a scenario, its catalogue or a campaign.
 
     With it comes what was drawn for each flight of a campaign, by its name; None for one flight alone.

@@ -11,10 +11,10 @@ import dataclasses
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import yaml
@@ -22,7 +22,10 @@ import yaml
 from quadftc_control.trajectory import combined
 from quadftc_flight.checks import check_results
 from quadftc_flight.junit import write_file
+from quadftc_flight.summary import Summary
+from quadftc_model.samples import DiagnosisReport
 from quadftc_model.versions import software_version
+from quadftc_sim.autopilot import Shown
 from quadftc_sim.injection import CHANNEL_UNITS
 from quadftc_sitl.autopilot import Server
 from quadftc_sitl.firmware import (
@@ -36,7 +39,7 @@ from quadftc_sitl.link import MavlinkLink
 from quadftc_sitl.physics import Fate, Physics
 from quadftc_sitl.plan import SitlPlan
 from quadftc_sitl.recording import Recorder
-from quadftc_sitl.scoring import describe_faults, metrics_of, noticed, observed
+from quadftc_sitl.scoring import Told, describe_faults, metrics_of, noticed, observed
 from quadftc_sitl.verdicts import diagnose_log_of
 
 if TYPE_CHECKING:
@@ -53,7 +56,7 @@ def fly_sitl(
     parameters: Mapping[str, float] | None = None,
     engine: str = "c",
     live: Live | None = None,
-) -> dict[str, Any]:
+) -> Summary:
     """Fly a plan with a firmware in a new folder; return the summary that is written there.
 
     ``parameters`` come on top of those of the plan. With ``live`` others may watch, and inject faults. A
@@ -144,9 +147,10 @@ class Flight:
             self._server.send(line)
             self._physics.sent()
 
-    def _watch(self, shown: Any) -> None:
+    def _watch(self, shown: Shown) -> None:
         """Let the pilot act on a sample, and see whether the vehicle is lost."""
-        pilot, now = self.pilot, self._physics.now
+        pilot, now, motion = self.pilot, self._physics.now, shown.emission.flight
+        assert motion is not None  # it flies
         pilot.step(now)
         if self.live is not None:
             self.live.show(shown)
@@ -155,8 +159,8 @@ class Flight:
         self._guard()
         wanted = pilot.reference(now)
         if now <= pilot.end:
-            self.errors.append(math.dist(shown.emission.flight.position, wanted.position))
-        if self._fate.step(shown.emission.flight, wanted) and pilot.lost is None:
+            self.errors.append(math.dist(motion.position, wanted.position))
+        if self._fate.step(motion, wanted) and pilot.lost is None:
             pilot.lost = now
             if self.live is not None:
                 self.live.tell(f"the vehicle is lost: {self._fate.words}")
@@ -175,7 +179,7 @@ class Flight:
                 pilot.obey(decision)
         self._heard = len(reports)
 
-    def result(self, arguments: list[str], wall_time: float) -> dict[str, Any]:
+    def result(self, arguments: list[str], wall_time: float) -> Summary:
         """Return what is known without the firmware's log."""
         plan, pilot, physics = self._plan, self.pilot, self._physics
         zero, journal = pilot.began or 0.0, pilot.journal
@@ -217,7 +221,7 @@ class Flight:
             "versions": {"quadftc": software_version(), "pymavlink": version("pymavlink")},
         }
 
-    def _guarded(self) -> dict[str, Any]:
+    def _guarded(self) -> Told:
         """Return what the guardian was to do, and what it decided, in the time of the scenario."""
         begin = 1e-9 * (self._physics.begin_ns or 0)
         decided = [dataclasses.asdict(each) for each in self._guardian.decisions]
@@ -225,9 +229,9 @@ class Flight:
         return {**self._plan.section.guard.model_dump(), "decisions": decided}
 
 
-def observed_all(reports: Any, begin_ns: int, duration: float) -> list[dict[str, Any]]:
+def observed_all(reports: Iterable[DiagnosisReport], begin_ns: int, duration: float) -> list[Told]:
     """Return each fault that the observer has confirmed in the mission, once, with its time [s]."""
-    seen: dict[tuple[str, str], dict[str, Any]] = {}
+    seen: dict[tuple[str, str], Told] = {}
     for report in reports:
         at = round(1e-9 * (report.stamp_ns - begin_ns), 3)
         if begin_ns and 0.0 <= at < duration:
@@ -238,11 +242,11 @@ def observed_all(reports: Any, begin_ns: int, duration: float) -> list[dict[str,
     return list(seen.values())
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> object:
     """Return data as JSON takes it: what is not finite becomes None, NumPy's numbers plain ones."""
     if isinstance(value, dict):
-        return {str(key): _finite(each) for key, each in cast("dict[Any, Any]", value).items()}
+        return {str(key): _finite(each) for key, each in cast("dict[object, object]", value).items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(each) for each in cast("list[Any]", value)]
-    plain: Any = cast("Any", value.item()) if isinstance(value, np.generic) else value
+        return [_finite(each) for each in cast("list[object]", value)]
+    plain = cast("object", value.item()) if isinstance(value, np.generic) else value
     return None if isinstance(plain, float) and not math.isfinite(plain) else plain

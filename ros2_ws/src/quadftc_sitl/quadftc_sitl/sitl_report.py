@@ -9,11 +9,11 @@ from __future__ import annotations
 import itertools
 import statistics
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from quadftc_sitl.scoring import EARLY
+from quadftc_flight.summary import Summary
+from quadftc_sitl.scoring import EARLY, Told
 
 COLUMNS = ("fault", "flights", "autopilot", "observer", "diagnose", "survived")
 BINS, FEWEST = 4, 8  # parts of the sizes of a fault; flights of a fault whose sizes are divided
@@ -21,11 +21,12 @@ MOST = 8  # different texts of a drawn value that are told
 NOTHING = "nothing"
 SOURCES = ("autopilot", "observer", "diagnose")
 
-Flights = Sequence[Mapping[str, Any]]
+Flights = Sequence[Summary]
+Drawn = Mapping[str, Mapping[str, object]]  # values by the name of a flight and their path
 Row = tuple[str, ...]
 
 
-def markdown(summaries: Flights, drawn: Mapping[str, Mapping[str, Any]] | None = None) -> str:
+def markdown(summaries: Flights, drawn: Drawn | None = None) -> str:
     """Write the report for a document; ``drawn`` has the values of each flight by its name, if any were."""
     flown = [each for each in summaries if "error" not in each]
     parts = [_table([COLUMNS, *table_rows(flown)])]
@@ -76,7 +77,7 @@ def map_rows(flights: Flights) -> list[Row]:
     return rows
 
 
-def drawn_rows(flights: Flights, drawn: Mapping[str, Mapping[str, Any]]) -> list[Row]:
+def drawn_rows(flights: Flights, drawn: Drawn) -> list[Row]:
     """Return, with a heading, how many flights were lost by each value that varies.
 
     Numbers are divided as sizes are; of texts, those with few different ones are told.
@@ -86,8 +87,9 @@ def drawn_rows(flights: Flights, drawn: Mapping[str, Mapping[str, Any]]) -> list
         here = [each for each in flights if path in drawn[each["name"]]]
         values = [drawn[each["name"]][path] for each in here]
         lost = [not each["survived"] for each in here]
-        if all(isinstance(value, float) for value in values):
-            rows += ((path, *cells) for cells in _lost_by_size(values, lost))
+        numbers = [value for value in values if isinstance(value, float)]
+        if len(numbers) == len(values):
+            rows += ((path, *cells) for cells in _lost_by_size(numbers, lost))
             continue
         words = sorted({*map(str, values)})
         for word in words if len(words) <= MOST else ():
@@ -108,16 +110,16 @@ def _lost_by_size(values: Sequence[float], gone: Sequence[bool]) -> Iterator[tup
             yield span, f"{int(lost[bins == number].sum())} of {here}"
 
 
-def _by_fault(summaries: Flights) -> dict[str, list[Mapping[str, Any]]]:
+def _by_fault(summaries: Flights) -> dict[str, list[Summary]]:
     """Return the flights that were flown, by the name of their fault."""
-    groups: dict[str, list[Mapping[str, Any]]] = {}
+    groups: dict[str, list[Summary]] = {}
     for each in summaries:
         if "error" not in each:
             groups.setdefault(each["name"].rpartition("-")[0] or each["name"], []).append(each)
     return groups
 
 
-def _truth(faults: Flights) -> str:
+def _truth(faults: Sequence[Told]) -> str:
     """Say what is faulty; a fault of the autopilot's own simulation is in one of its sensors."""
     names = [
         f"{each['component']} (its own)" if each["source"] == "autopilot" else each["component"]
@@ -126,7 +128,7 @@ def _truth(faults: Flights) -> str:
     return " and ".join(dict.fromkeys(names)) or NOTHING
 
 
-def _first_said(flight: Mapping[str, Any], source: str) -> str:
+def _first_said(flight: Summary, source: str) -> str:
     """Return what a source said first since the first fault: a component, several if in doubt, or nothing."""
     faults = flight["faults"]
     start = min((fault["start"] for fault in faults), default=0.0)

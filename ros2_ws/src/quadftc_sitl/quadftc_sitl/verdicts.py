@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from quadftc_replay.inspection.diagnosis import read_with_layout, write_verdict
 from quadftc_replay.inspection.inspect import inspect
+from quadftc_replay.inspection.verdict import Finding
 from quadftc_sitl.plan import SitlPlan
-from quadftc_sitl.scoring import EARLY, is_it
+from quadftc_sitl.scoring import EARLY, Told, is_it
 
-NOTHING: dict[str, Any] = {"named": False, "delay_s": None, "as": []}
+NOTHING: Told = {"named": False, "delay_s": None, "as": []}
 
 
-def diagnose_log_of(
-    folder: Path, plan: SitlPlan, log_zero: float, faults: list[dict[str, Any]]
-) -> dict[str, Any]:
+def diagnose_log_of(folder: Path, plan: SitlPlan, log_zero: float, faults: list[Told]) -> dict[str, Told]:
     """Judge the log; put what was said of each fault into it, and return all that was said.
 
     ``log_zero`` is scenario time 0 on the clock of the log [s].
     """
     log = plan.autopilot.log(folder)
-    said: dict[str, Any] = {"log": "", "outcome": "", "findings": [], "problem": ""}
+    said: Told = {"log": "", "outcome": "", "findings": [], "problem": ""}
     for fault in faults:
         fault["diagnose"] = dict(NOTHING)
     if log is None:
@@ -42,7 +39,7 @@ def diagnose_log_of(
     return {"diagnose": said}
 
 
-def _finding(finding: Any, shift: float) -> dict[str, Any]:
+def _finding(finding: Finding, shift: float) -> Told:
     given = finding.model_dump(mode="json", include={"component", "element", "kind", "size", "unit"})
     end = None if finding.end_s is None else round(finding.end_s + shift, 3)
     return {
@@ -54,7 +51,7 @@ def _finding(finding: Any, shift: float) -> dict[str, Any]:
     }
 
 
-def _of_fault(fault: Mapping[str, Any], findings: list[dict[str, Any]]) -> dict[str, Any]:
+def _of_fault(fault: Told, findings: list[Told]) -> Told:
     """Return the findings that are a fault, the earliest first."""
     own = [
         each

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -16,8 +16,11 @@ from quadftc_cli.commands import BAD_INPUT, INTERNAL, options
 from quadftc_cli.screen import Bars, console, plain_table, say
 
 if TYPE_CHECKING:
+    from quadftc_flight.summary import Summary
     from quadftc_sitl.catalogue import Job
     from quadftc_sitl.plan import SitlPlan
+    from quadftc_sitl.scoring import Told
+    from quadftc_sitl.sitl_report import Drawn
 
 SAID = 12  # words of the autopilot on the screen
 
@@ -119,7 +122,7 @@ def sitl(
 
 def _fly(
     todo: Sequence[Job], jobs: int, resume: bool, screen: Console, shown: tuple[SitlPlan, int, bool] | None
-) -> list[dict[str, Any]]:
+) -> list[Summary]:
     """Fly; with plan, port and whether a browser opens, the only flight in real time on the live page."""
     from quadftc_sitl.catalogue import fly_jobs
 
@@ -134,11 +137,11 @@ def _fly(
 
 
 def _show(
-    summaries: Sequence[Mapping[str, Any]],
+    summaries: Sequence[Summary],
     out: Path,
     screen: Console,
     junit: Path | None,
-    drawn: Mapping[str, Mapping[str, Any]] | None,
+    drawn: Drawn | None,
 ) -> int:
     """Print what became of flights, write the report of many (``drawn`` not None), return the exit code."""
     from quadftc_cli.judging import judge
@@ -167,7 +170,7 @@ def _show(
     return BAD_INPUT if failed else code
 
 
-def _show_flight(flight: Mapping[str, Any]) -> None:
+def _show_flight(flight: Summary) -> None:
     """Print the truth of one flight beside what was said of it."""
     for fault in flight["faults"]:
         said, seen, judged = fault["autopilot"], fault["observer"], fault["diagnose"]
@@ -193,5 +196,5 @@ def _show_flight(flight: Mapping[str, Any]) -> None:
         say(f"open to others than this machine: {', '.join(autopilot['open_sockets'])}")
 
 
-def _told(said: Mapping[str, Any], words: str) -> str:
+def _told(said: Told, words: str) -> str:
     return f"{words} after {said['delay_s']:.2f} s" if said["delay_s"] is not None else "-"
