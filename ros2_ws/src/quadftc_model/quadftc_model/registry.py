@@ -11,7 +11,7 @@ import importlib
 import pkgutil
 import sys
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 if sys.version_info >= (3, 11):
     from typing import dataclass_transform
@@ -21,6 +21,7 @@ else:
 from quadftc_model.hints import nearest
 
 T = TypeVar("T")
+Component = TypeVar("Component")
 
 
 class Registry(Generic[T]):
@@ -32,14 +33,14 @@ class Registry(Generic[T]):
 
     def __init__(self, kind: str, package: str, group: str) -> None:
         self.kind, self._package, self._group = kind, package, group
-        self._components: dict[str, type[T]] = {}
+        self._components: dict[str, type[Any]] = {}  # of T, which `register` does not check
         self._sources = [self._import_files, self._import_entry_points]  # not looked at yet
 
     @dataclass_transform(eq_default=False, kw_only_default=True, frozen_default=True)
-    def register(self, name: str) -> Callable[[type[T]], type[T]]:
+    def register(self, name: str) -> Callable[[type[Component]], type[Component]]:
         """Class decorator that makes a frozen dataclass, if it is none yet, and adds it under ``name``."""
 
-        def add(component: type[T]) -> type[T]:
+        def add(component: type[Component]) -> type[Component]:
             if "__dataclass_params__" not in vars(component):
                 component = dataclasses.dataclass(frozen=True, eq=False, kw_only=True)(component)
             present = self._components.get(name)

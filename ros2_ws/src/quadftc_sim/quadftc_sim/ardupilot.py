@@ -10,7 +10,7 @@ import json
 import struct
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class ArduPilotPhysics(AutopilotPhysics):
         super().__init__(make_simulator, make_injector)
         self._frame, self._answered, self._rate = 0, 0.0, rate
 
-    def answer(self, data: bytes, sender: Any = None) -> bytes | None:
+    def answer(self, data: bytes, sender: object = None) -> bytes | None:
         """Fly one period under the outputs of a packet; return the state; None for no such packet."""
         try:
             packet = read_servos(data)
@@ -112,7 +112,7 @@ class ArduPilotPhysics(AutopilotPhysics):
         """
         motion = emission.flight
         assert motion is not None
-        values: dict[str, Any] = {
+        values: dict[str, object] = {
             "timestamp": time,
             "imu": {
                 "gyro": to_frd(sample.body_rate).tolist(),

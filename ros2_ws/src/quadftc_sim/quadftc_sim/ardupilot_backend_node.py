@@ -16,8 +16,8 @@ from typing import Any
 
 from quadftc_ros.executor import run_node
 from quadftc_sim.ardupilot import ArduPilotPhysics
-from quadftc_sim.autopilot import Shown
-from quadftc_sim.backend_node import LOOK, BackendNode
+from quadftc_sim.autopilot import MakeInjector, MakeSimulator, Shown
+from quadftc_sim.backend_node import LOOK, Address, BackendNode
 
 
 class ArduPilotBackendNode(BackendNode):
@@ -29,13 +29,13 @@ class ArduPilotBackendNode(BackendNode):
         self._last: Shown | None = None
         super().__init__("ardupilot_backend", **kwargs)
 
-    def make_physics(self, make_simulator: Any, make_injector: Any) -> ArduPilotPhysics:
+    def make_physics(self, make_simulator: MakeSimulator, make_injector: MakeInjector) -> ArduPilotPhysics:
         """Return the physics behind SITL."""
         return ArduPilotPhysics(make_simulator, make_injector)
 
     def exchange(self) -> list[Shown]:
         """Answer what SITL asks; what it repeated meanwhile, as when laws are compiled, gets one answer."""
-        answers: dict[Any, bytes] = {}  # by sender
+        answers: dict[Address, bytes] = {}  # by sender
         new: list[Shown] = []
         for data, sender in self.packets(LOOK):
             line, shown = self.answer(data, sender), self.physics.shown

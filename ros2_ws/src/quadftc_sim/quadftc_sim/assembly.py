@@ -102,7 +102,7 @@ def simulator_from(
 ) -> Simulator:
     """Build the simulator from the parameters of the plant node; its first stamp is ``epoch_ns``."""
     laws = tuple(assembly.components_from(disturbances, parameters, "disturbances"))
-    context = {"vehicle": assembly.vehicle_from(parameters), "disturbances": laws}
+    context: dict[str, object] = {"vehicle": assembly.vehicle_from(parameters), "disturbances": laws}
     kind = plants.get(get(parameters, "plant", str)) if "plant" in parameters else AttitudeStand
     if kind.flies:
         context["winds"] = tuple(assembly.components_from(winds, parameters, "winds"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from quadftc_model.samples import ImuSample, level_sample, sanitised
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.injector import FaultInjector, Faulty
 from quadftc_sim.simulator import Emission, Simulator
+
+MakeSimulator = Callable[[float], Simulator]  # for a rate [Hz]
+MakeInjector = Callable[[], FaultInjector]
 
 NED_OF_ENU = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])  # x, y, z, w: half a turn about north-east
 FLU_OF_FRD = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about the nose
@@ -61,9 +64,7 @@ class AutopilotPhysics:
     the autopilot restarts. Faults put on before it starts stay.
     """
 
-    def __init__(
-        self, make_simulator: Callable[[float], Simulator], make_injector: Callable[[], FaultInjector]
-    ) -> None:
+    def __init__(self, make_simulator: MakeSimulator, make_injector: MakeInjector) -> None:
         self._make_simulator, self._make_injector = make_simulator, make_injector
         self._simulator: Simulator | None = None
         self._injector = make_injector()
@@ -78,7 +79,7 @@ class AutopilotPhysics:
         """Whether the autopilot has said what it asks of the rotors, since the flight began."""
         return self.shown is not None and self.shown.command is not None
 
-    def answer(self, data: bytes, sender: Any = None) -> bytes | None:
+    def answer(self, data: bytes, sender: object = None) -> bytes | None:
         """Fly one period under the outputs of a packet; return the state; None for no such packet."""
         raise NotImplementedError
 

@@ -14,7 +14,6 @@ import dataclasses
 import select
 import socket
 import threading
-from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
 
@@ -28,8 +27,7 @@ from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import VectorWire
 from quadftc_sim.assembly import injector_from, simulator_from
-from quadftc_sim.autopilot import AutopilotPhysics, Shown
-from quadftc_sim.injector import FaultInjector
+from quadftc_sim.autopilot import AutopilotPhysics, MakeInjector, MakeSimulator, Shown
 from quadftc_sim.injector_ports import InjectorPorts
 from quadftc_sim.plant import plants
 from quadftc_sim.plant_output import FlightOutput
@@ -39,6 +37,8 @@ from quadftc_sim.vehicle_simulation import VehicleSimulation
 
 LOOK = 0.1  # s; how often the socket's thread looks whether it is to end
 PACKET = 2048  # bytes; more than any packet has
+Address = tuple[str, int]  # of a UDP socket
+
 MOST = 100  # packets that are read before they are answered
 
 
@@ -62,7 +62,7 @@ class BackendOutput:
     """What is published of a vehicle that an autopilot flies, a `law` of motion with `faults`."""
 
     def __init__(self, node: GraphNode, law: VehicleSimulation, faults: InjectorPorts) -> None:
-        plant: Any = law.plant
+        plant = law.plant
         self._vehicle, self._faults = plant.vehicle, faults
         self._publish_speeds = node.publishes("rotors/command")
         self._speeds = RotorsWire(plant.command_size, node.base_frame)
@@ -126,9 +126,7 @@ class BackendNode(GraphNode):
         self._thread.start()
         self.ready()
 
-    def make_physics(
-        self, make_simulator: Callable[[float], Simulator], make_injector: Callable[[], FaultInjector]
-    ) -> AutopilotPhysics:
+    def make_physics(self, make_simulator: MakeSimulator, make_injector: MakeInjector) -> AutopilotPhysics:
         """Return the physics that speaks this autopilot's packets."""
         raise NotImplementedError
 
@@ -163,21 +161,21 @@ class BackendNode(GraphNode):
         self._socket.close()
         super().destroy_node()
 
-    def answer(self, data: bytes, sender: Any) -> bytes | None:
+    def answer(self, data: bytes, sender: Address) -> bytes | None:
         """Answer a packet, while no service changes the faults."""
         with self._faults.lock:
             return self.physics.answer(data, sender)
 
-    def packets(self, patience: float) -> list[tuple[bytes, Any]]:
+    def packets(self, patience: float) -> list[tuple[bytes, Address]]:
         """Return the packets that have come, with their senders; wait [s] for the first."""
         select.select([self._socket], [], [], patience)
-        found: list[tuple[bytes, Any]] = []
+        found: list[tuple[bytes, Address]] = []
         with contextlib.suppress(OSError):  # no more, or the autopilot has gone and refused our last answer
             while len(found) < MOST:
                 found.append(self._socket.recvfrom(PACKET))
         return found
 
-    def send(self, data: bytes, receiver: Any) -> None:
+    def send(self, data: bytes, receiver: Address) -> None:
         """Send a state."""
         with contextlib.suppress(OSError):  # the autopilot has gone
             self._socket.sendto(data, receiver)

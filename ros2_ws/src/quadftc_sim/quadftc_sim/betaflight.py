@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from typing import Any
 
 from quadftc_model.samples import ImuSample
 from quadftc_sim.autopilot import AutopilotPhysics, ned_attitude, speeds_of_shares, to_frd
@@ -48,14 +47,14 @@ class BetaflightPhysics(AutopilotPhysics):
     ) -> None:
         super().__init__(make_simulator, make_injector)
         self._rate = rate
-        self._sender: Any = None
+        self._sender: object = None
 
     def state(self) -> bytes:
         """Return the state that the firmware has to answer."""
         shown = self.shown or self.begin(self._rate)
         return shown.line
 
-    def answer(self, data: bytes, sender: Any = None) -> bytes | None:
+    def answer(self, data: bytes, sender: object = None) -> bytes | None:
         """Fly one period under the outputs of a packet; return the state; None for no such packet."""
         try:
             shares = read_motors(data)

@@ -20,7 +20,7 @@ from typing import Any
 
 from quadftc_model.parameters import parameter
 from quadftc_ros.executor import run_node
-from quadftc_sim.autopilot import Shown
+from quadftc_sim.autopilot import MakeInjector, MakeSimulator, Shown
 from quadftc_sim.backend_node import BackendNode, BackendParameters
 from quadftc_sim.betaflight import BetaflightPhysics
 
@@ -49,7 +49,7 @@ class BetaflightBackendNode(BackendNode):
         self._silent = 0  # periods without an answer
         super().__init__("betaflight_backend", **kwargs)
 
-    def make_physics(self, make_simulator: Any, make_injector: Any) -> BetaflightPhysics:
+    def make_physics(self, make_simulator: MakeSimulator, make_injector: MakeInjector) -> BetaflightPhysics:
         """Return the physics behind Betaflight; it refuses what is no quadrotor."""
         if (rotors := len(self._vehicle.rotors.positions)) != 4:
             raise ValueError(f"vehicle = '{self._values['vehicle']}': expected 4 rotors, not {rotors}")

@@ -7,9 +7,9 @@ those: a vector (..., 3) becomes (..., count, 3), a flag (...) becomes (..., cou
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
-from quadftc_model.arrays import Components, namespace
+from quadftc_model.arrays import Array, Components, alike, namespace
 
 T = TypeVar("T")
 
@@ -17,9 +17,8 @@ T = TypeVar("T")
 def fill_line(value: T, count: int, leading: int) -> T:
     """Return a line of ``count`` values that are all alike, with so many ``leading`` axes."""
     if isinstance(value, tuple):
-        parts = cast("tuple[Any, ...]", value)
-        kind: Any = type(parts)
-        return kind(*(fill_line(each, count, leading) for each in parts))
+        parts = cast("tuple[object, ...]", value)
+        return alike(parts, [fill_line(each, count, leading) for each in parts])
     if value is None:
         return value
     xp = namespace(value)
@@ -30,13 +29,13 @@ def fill_line(value: T, count: int, leading: int) -> T:
 def shift_line(line: T, value: T, leading: int) -> tuple[T, T]:
     """Put a value at the end of a line; return the line, and the value that leaves it at its beginning."""
     if isinstance(line, tuple):
-        lines, values = cast("tuple[Any, ...]", line), cast("tuple[Any, ...]", value)
-        kind: Any = type(lines)
+        lines, values = cast("tuple[object, ...]", line), cast("tuple[object, ...]", value)
         parts = [shift_line(a, b, leading) for a, b in zip(lines, values, strict=True)]
-        return kind(*(kept for kept, _ in parts)), kind(*(out for _, out in parts))
+        return alike(lines, [kept for kept, _ in parts]), alike(lines, [out for _, out in parts])
     if value is None:
         return line, value
-    xp, before, array = namespace(line, value), (slice(None),) * leading, cast("Any", line)
+    array: Array = line
+    xp, before = namespace(line, value), (slice(None),) * leading
     if array.shape[leading] == 0:
         return line, value
     longer = xp.concatenate([array, xp.expand_dims(xp.asarray(value), leading)], axis=leading)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import abc
 import dataclasses
 import math
-from typing import Any
 
 from quadftc_model.arrays import Column, Scalar, Vector, column, where, whole_nanoseconds
 from quadftc_model.parameters import Timed, parameter
@@ -30,5 +29,7 @@ class Disturbance(Timed, abc.ABC):
         return where(column(acts), self.shape(column(time - self.start)), 0.0)
 
 
-disturbances: Registry[Any] = Registry("disturbance", "quadftc_sim.disturbances", "quadftc.disturbances")
+disturbances: Registry[Disturbance] = Registry(
+    "disturbance", "quadftc_sim.disturbances", "quadftc.disturbances"
+)
 register = disturbances.register

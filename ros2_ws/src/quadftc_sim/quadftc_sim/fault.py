@@ -50,12 +50,12 @@ class Fault(Checked, abc.ABC):
         """
         return self
 
-    def init(self, value: Vector) -> Any:
+    def init(self, value: Vector) -> object:
         """Return the state at the first sample (..., 3); most faults have none."""
         return ()
 
     @abc.abstractmethod
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[object, FaultOutput]:
         """Return the state and the channel with the fault on all three axes."""
 
 
@@ -64,5 +64,5 @@ def present(value: Vector) -> FaultOutput:
     return FaultOutput(value, namespace(value).ones_like(value[..., 0], dtype=bool))
 
 
-faults: Registry[Any] = Registry("fault", "quadftc_sim.faults", "quadftc.faults")
+faults: Registry[Fault] = Registry("fault", "quadftc_sim.faults", "quadftc.faults")
 register = faults.register

@@ -14,7 +14,7 @@ from quadftc_model.hints import nearest
 from quadftc_model.parameters import build, parameters_of
 from quadftc_model.registry import Registry
 from quadftc_model.units import quantity
-from quadftc_sim.fault import faults
+from quadftc_sim.fault import Fault, faults
 from quadftc_sim.rotor_fault import ROTOR, rotor_faults
 
 CHANNEL_UNITS: dict[str, dict[str, str]] = {
@@ -62,7 +62,7 @@ class Injection:
         return self if law is self.law else dataclasses.replace(self, law=law)
 
 
-def registry_of(kind: Any, values: Mapping[str, Any]) -> Registry[Any]:
+def registry_of(kind: object, values: Mapping[str, object]) -> Registry[Any]:
     """Return the registry of a fault by its name and raw values: it is on a rotor if they say so.
 
     Without a channel, a name that only rotor faults have says so too.
@@ -74,7 +74,7 @@ def registry_of(kind: Any, values: Mapping[str, Any]) -> Registry[Any]:
     return rotor_faults if on_rotors else faults
 
 
-def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0, rotors: int = 0) -> Injection:
+def make_injection(kind: str, values: Mapping[str, object], now: float = 0.0, rotors: int = 0) -> Injection:
     """Make an injection from the name of a fault and raw values, of a scenario, a service or a command.
 
     The values are ``channel`` (attitude by default, if the fault can be on it), ``axes`` (names; all by
@@ -98,14 +98,14 @@ def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0, rotor
     return Injection(kind, channel, mask, *window, build(fault, own, units=CHANNEL_UNITS[channel]))
 
 
-def _rotor_mask(kind: str, values: Mapping[str, Any], count: int) -> NDArray[np.bool_]:
+def _rotor_mask(kind: str, values: Mapping[str, object], count: int) -> NDArray[np.bool_]:
     """Return which rotors (n,) are meant: those of ``rotors``, whole numbers from 1 on, or texts of such."""
     if count == 0:
         raise ValueError(f"channel = {ROTOR!r}: only in free flight: expected 'plant: {{kind: free_flight}}'")
     for name in ("axes", "axis"):
         if name in values and values[name] not in ((), []):
             raise ValueError(f"{name}: {kind} on a rotor has none; expected rotors, such as [1]")
-    given: Any = values.get("rotors", ())
+    given = values.get("rotors", ())
     numbers: list[Any] = [*given] if isinstance(given, (list, tuple)) else [given]
     if not numbers:
         raise ValueError(f"rotors: missing; expected numbers from 1 to {count}, such as [1]")
@@ -121,13 +121,13 @@ def _rotor_mask(kind: str, values: Mapping[str, Any], count: int) -> NDArray[np.
     return mask
 
 
-def _mask(kind: str, fault: Any, values: Mapping[str, Any]) -> NDArray[np.bool_]:
+def _mask(kind: str, fault: type[Fault], values: Mapping[str, object]) -> NDArray[np.bool_]:
     if "rotors" in values:
         raise ValueError(f"rotors: {kind} is on a sensor; expected 'channel: {ROTOR}', or axes")
     given = values.get("axes", values.get("axis", ()))
     if "axes" in values and "axis" in values:
         raise ValueError("axes: given twice, as axis too")
-    names: list[Any] = [*given] if isinstance(given, (list, tuple)) else [given]
+    names: list[object] = [*given] if isinstance(given, (list, tuple)) else [given]
     if names and fault.whole_channel:
         given = ", ".join(map(str, names))
         raise ValueError(f"axes = {given}: {kind} takes the whole channel; leave axes out")
@@ -139,7 +139,7 @@ def _mask(kind: str, fault: Any, values: Mapping[str, Any]) -> NDArray[np.bool_]
     return mask
 
 
-def _window(values: Mapping[str, Any], now: float) -> tuple[float, float]:
+def _window(values: Mapping[str, object], now: float) -> tuple[float, float]:
     """Start and stop in scenario time, whole nanoseconds as stamps: 0.1 s + 0.2 s is the sample at 0.3 s."""
     start = _time(values, "start", 0.0)
     if "duration" in values and "stop" in values:
@@ -153,7 +153,7 @@ def _window(values: Mapping[str, Any], now: float) -> tuple[float, float]:
     return first, last
 
 
-def _time(values: Mapping[str, Any], name: str, default: float) -> float:
+def _time(values: Mapping[str, object], name: str, default: float) -> float:
     try:
         time = quantity(values.get(name, default), "s")
     except ValueError as error:
@@ -170,14 +170,14 @@ def fault_generators(seed: int, number: int) -> tuple[np.random.Generator, np.ra
     return np.random.default_rng([seed, number, 0]), np.random.default_rng([seed, number, 1])
 
 
-def ask_for_units(kind: str, values: Mapping[str, Any]) -> None:
+def ask_for_units(kind: str, values: Mapping[str, object]) -> None:
     """Refuse a number without a unit that a person typed, by a ValueError, where it is absurd in SI."""
     fault = registry_of(kind, values).get(kind)
     usual = "attitude" if "attitude" in fault.channels else fault.channels[0]
     units = CHANNEL_UNITS.get(str(values.get("channel", usual)), {})
     for spec in parameters_of(fault):
         unit = units.get(spec.unit.strip("{}"), "")
-        raw: Any = values.get(spec.name, ())
+        raw = values.get(spec.name, ())
         parts: list[Any] = [*raw] if isinstance(raw, (list, tuple)) else [raw]
         for text in parts:
             try:

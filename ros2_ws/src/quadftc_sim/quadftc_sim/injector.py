@@ -12,7 +12,7 @@ numbers.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,7 +37,7 @@ class FaultDraws(NamedTuple):
 class InjectionState(NamedTuple):
     """One injection at the last sample."""
 
-    fault: Any  # state of the fault
+    fault: object  # state of the fault
     begun: Flag  # it has been stepped
 
 
@@ -123,7 +123,7 @@ class ChannelFault:
     injection: Injection
 
     @property
-    def named_after(self) -> Any:
+    def named_after(self) -> object:
         """What it is called after where it is compiled."""
         return self.injection.law
 
@@ -194,7 +194,7 @@ class RotorsFault:
     injection: Injection
 
     @property
-    def named_after(self) -> Any:
+    def named_after(self) -> object:
         """What it is called after where it is compiled."""
         return self.injection.law
 
@@ -221,7 +221,7 @@ def laws_of(injections: Sequence[Injection]) -> dict[str, Any]:
     return found
 
 
-def begin(calls: Calls, injections: Sequence[Injection]) -> tuple[Any, ...]:
+def begin(calls: Calls, injections: Sequence[Injection]) -> tuple[object, ...]:
     """Return states to begin with; the injections are those for the period, see `Injection.for_period`."""
     return tuple(calls.init(f"fault{number}") for number in range(1, len(injections) + 1))
 
@@ -229,13 +229,13 @@ def begin(calls: Calls, injections: Sequence[Injection]) -> tuple[Any, ...]:
 def inject(
     calls: Calls,
     injections: Sequence[Injection],
-    states: Sequence[Any],
+    states: Sequence[object],
     sample: ImuSample,
     condition: RotorCondition | None,
     time: Scalar,
     dt: Any,
     draws: Sequence[FaultDraws | None],
-) -> tuple[tuple[Any, ...], Faulty]:
+) -> tuple[tuple[object, ...], Faulty]:
     """Put the faults on a sample at a scenario time [s] (...), ``dt`` [s] after the one before.
 
     The injections act in their order, on rotors in healthy ``condition`` too; on the test stand there are
@@ -244,7 +244,7 @@ def inject(
     healthy: Any = None
     if any(each.channel != ROTOR for each in injections):
         _, healthy = calls.step("split", (), sample, dt)
-    channels, after = healthy, list[Any]()
+    channels, after = healthy, list[object]()
     for number, (injection, state, drawn) in enumerate(zip(injections, states, draws, strict=True), 1):
         name, channel = f"fault{number}", injection.channel
         if channel == ROTOR:
@@ -267,9 +267,6 @@ def without_faults(sample: ImuSample, condition: RotorCondition | None) -> Fault
     return Faulty(sample, np.True_, zeros, zeros, zeros, condition)
 
 
-Choose = Callable[[Any], Runner[Any, Any]]  # what runs a law
-
-
 @dataclasses.dataclass
 class _Scheduled:
     """An injection with its state and random numbers of its own."""
@@ -277,7 +274,7 @@ class _Scheduled:
     injection: Injection
     generators: tuple[np.random.Generator, np.random.Generator]  # normal, uniform
     runner: Runner[Any, Any]
-    state: Any = None
+    state: object = None
     first: ChannelInputs | None = None  # what it saw first; None: it has not run
     is_fixed: bool = False  # it is one for the period
 
@@ -288,7 +285,7 @@ class _Scheduled:
         normal, uniform = self.generators
         return FaultDraws(normal.standard_normal(3), uniform.random(3))
 
-    def run(self, inputs: ChannelInputs, choose: Choose) -> Channel:
+    def run(self, inputs: ChannelInputs, choose: Engine) -> Channel:
         """Put the fault on a channel.
 
         The first time step says the period. A fault that depends on it begins again at what it saw first.
@@ -397,7 +394,7 @@ class FaultInjector:
         _, faulty = self._join.step((), JoinInputs(sample, healthy, channels), dt)
         return faulty._replace(rotors=condition)
 
-    def _schedule(self, injection: Injection, choose: Choose) -> int:
+    def _schedule(self, injection: Injection, choose: Engine) -> int:
         self._count += 1
         if injection.channel == ROTOR:
             self._healthy = healthy_rotors(np.zeros(len(injection.mask)))

@@ -122,7 +122,7 @@ class InjectorPorts:
         return response
 
 
-def _values_of(request: InjectFault.Request) -> dict[str, Any]:
+def _values_of(request: InjectFault.Request) -> dict[str, object]:
     """Return the values of a request that `make_injection` takes; ValueError: they contradict each other."""
     names, numbers = list(request.parameter_names), list(request.parameter_values)
     if len(names) != len(numbers):
@@ -134,7 +134,7 @@ def _values_of(request: InjectFault.Request) -> dict[str, Any]:
             raise ValueError(f"parameter_names: {name} is given twice")
     if not request.duration >= 0.0:
         raise ValueError(f"duration = {request.duration:g} s: must not be negative")
-    values: dict[str, Any] = {"channel": request.channel} if request.channel else {}
+    values: dict[str, object] = {"channel": request.channel} if request.channel else {}
     on_rotors = registry_of(request.kind, values) is rotor_faults
     values |= {"start": request.start, "rotors" if on_rotors else "axes": list(request.axes)}
     values |= {"duration": request.duration} if request.duration > 0.0 else {}

@@ -66,7 +66,7 @@ class Plant(Checked, abc.ABC):
         return 1.0 / self.motor_bandwidth if self.motor_bandwidth > 0.0 else own
 
     @abc.abstractmethod
-    def init(self, q_xyzw: Quaternion, body_rate: Vector) -> Any:
+    def init(self, q_xyzw: Quaternion, body_rate: Vector) -> object:
         """State at an attitude and a body rate [rad/s]."""
 
     @abc.abstractmethod
@@ -90,5 +90,5 @@ class Plant(Checked, abc.ABC):
         return self.disturbance(time, like) / self.inertia
 
 
-plants: Registry[Any] = Registry("plant", "quadftc_sim.plants", "quadftc.plants")
+plants: Registry[Plant] = Registry("plant", "quadftc_sim.plants", "quadftc.plants")
 register = plants.register

@@ -203,7 +203,7 @@ class PlantNode(GraphNode):
             self._output.show_truth()
             self.flight.fly_ahead()
 
-    def _on_dropped(self, stamp_ns: int, message: Any) -> None:
+    def _on_dropped(self, stamp_ns: int, message: object) -> None:
         if self.lockstep:
             self._take("command", stamp_ns)
 

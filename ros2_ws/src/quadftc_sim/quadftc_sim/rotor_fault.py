@@ -8,12 +8,15 @@ from __future__ import annotations
 import abc
 import dataclasses
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-from quadftc_model.arrays import Components, Scalar, column, namespace, smaller, where
+from quadftc_model.arrays import Components, Flag, Scalar, column, namespace, smaller, where
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 from quadftc_model.samples import RotorCondition
+
+if TYPE_CHECKING:
+    from quadftc_sim.injection import Injection
 
 ROTOR = "rotor"  # the channel
 
@@ -21,10 +24,10 @@ ROTOR = "rotor"  # the channel
 class RotorEffect(NamedTuple):
     """What a fault does to one rotor; the defaults are those of a healthy one."""
 
-    effectiveness: Any = 1.0  # (...) [1]
-    speed_limit: Any = math.inf  # (...) [rad/s]
-    stuck: Any = False  # (...) bool
-    unbalance: Any = 0.0  # (...) [kg m]
+    effectiveness: Scalar = 1.0  # (...) [1]
+    speed_limit: Scalar = math.inf  # (...) [rad/s]
+    stuck: Flag = False  # (...)
+    unbalance: Scalar = 0.0  # (...) [kg m]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,7 +50,7 @@ def healthy_rotors(like: Components) -> RotorCondition:
     return RotorCondition(ones, xp.full_like(like, math.inf), xp.zeros_like(like, dtype=bool), zeros)
 
 
-def with_fault(condition: RotorCondition, fault: Any, time: Scalar) -> RotorCondition:
+def with_fault(condition: RotorCondition, fault: Injection, time: Scalar) -> RotorCondition:
     """Return a condition with a fault, an injection on rotors, at a scenario time [s] (...).
 
     Losses multiply, of speed limits the lowest counts, and unbalances add.
@@ -68,5 +71,7 @@ def true_effectiveness(condition: RotorCondition) -> Components:
     return where(off, 0.0, condition.effectiveness)
 
 
-rotor_faults: Registry[Any] = Registry("rotor fault", "quadftc_sim.rotor_faults", "quadftc.rotor_faults")
+rotor_faults: Registry[RotorFault] = Registry(
+    "rotor fault", "quadftc_sim.rotor_faults", "quadftc.rotor_faults"
+)
 register = rotor_faults.register

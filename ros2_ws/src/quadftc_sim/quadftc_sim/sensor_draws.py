@@ -6,7 +6,7 @@ and those of each other sensor, have their own, so that no sensor changes the nu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -71,14 +71,14 @@ class SensorDraws:
         uniform, normal = self._white.uniform(-1.0, 1.0, 3), self._slow.standard_normal((2, SLOW, 3))
         self.turn_on = TurnOn(uniform, *normal)
 
-    def next(self, count: int, slow: bool = True) -> Float[NDArray[Any], "count rows 3"]:
+    def next(self, count: int, slow: bool = True) -> Float[NDArray[np.float64], "count rows 3"]:
         """Draw standard normal numbers for ``count`` samples: `DRAWS` each, or those of white noise alone."""
         white = self._white.standard_normal((count, WHITE, 3))
         if not slow:
             return white
         return np.concatenate((white, self._slow.standard_normal((count, SLOW, 3))), axis=1)
 
-    def next_place(self, count: int) -> Float[NDArray[Any], "count rows 3"]:
+    def next_place(self, count: int) -> Float[NDArray[np.float64], "count rows 3"]:
         """Draw standard normal numbers of the position sensor for ``count`` IMU samples."""
         return self._place.standard_normal((count, PLACE, 3))
 

@@ -51,7 +51,8 @@ class Simulator:
     def __init__(
         self, law: VehicleSimulation, epoch_ns: int, seed: int, engine: Engine = NumpyRunner
     ) -> None:
-        self.law, self.plant, self.period_ns = law, law.plant, round(law.period * 1e9)
+        self.law: VehicleSimulation = law
+        self.plant, self.period_ns = law.plant, round(law.period * 1e9)
         self._seed = seed
         self._runner: Runner[VehicleInputs, VehicleOutput] = engine(law)
         self._begin(epoch_ns)
@@ -81,7 +82,7 @@ class Simulator:
         """Fly on from the last sample at another period [ns]; ValueError if the sensors do not allow it."""
         if period_ns == self.period_ns:
             return
-        law: VehicleSimulation = dataclasses.replace(self.law, period=seconds(period_ns))
+        law = dataclasses.replace(self.law, period=seconds(period_ns))
         if law.position is not None or not self._runner.configure(law):
             raise ValueError(f"period = {period_ns} ns: the sensors are for {self.period_ns} ns")
         self.law, self.period_ns = law, period_ns

@@ -5,7 +5,6 @@ from __future__ import annotations
 import abc
 import dataclasses
 import math
-from typing import Any
 
 from quadftc_model.arrays import Column, Scalar, Vector, column, where, whole_nanoseconds
 from quadftc_model.parameters import Timed, parameter
@@ -30,5 +29,5 @@ class Wind(Timed, abc.ABC):
         return where(column(blows), self.shape(column(time - self.start)), 0.0)
 
 
-winds: Registry[Any] = Registry("wind", "quadftc_sim.winds", "quadftc.winds")
+winds: Registry[Wind] = Registry("wind", "quadftc_sim.winds", "quadftc.winds")
 register = winds.register

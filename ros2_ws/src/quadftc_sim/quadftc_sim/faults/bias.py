@@ -1,7 +1,5 @@
 """A constant offset: a knock, a wrong calibration, a magnetic anomaly."""
 
-from typing import Any
-
 from quadftc_model.arrays import namespace
 from quadftc_model.parameters import parameter
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
@@ -13,6 +11,6 @@ class Bias(Fault):
 
     value: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="{channel}", doc="offset")
 
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: tuple[()], inputs: FaultInputs, dt: float) -> tuple[tuple[()], FaultOutput]:
         """Add the offset."""
         return state, present(inputs.value + namespace(inputs.value).asarray(self.value))

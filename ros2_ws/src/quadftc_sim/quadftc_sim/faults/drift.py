@@ -1,7 +1,6 @@
 """An offset that grows: temperature, ageing; an incipient fault."""
 
 import math
-from typing import Any
 
 from quadftc_model.arrays import column, namespace, smaller
 from quadftc_model.parameters import parameter
@@ -15,7 +14,7 @@ class Drift(Fault):
     rate: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="{channel_rate}", doc="slope")
     rise: float = parameter(math.inf, unit="s", low=0.0, doc="how long it grows")
 
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: tuple[()], inputs: FaultInputs, dt: float) -> tuple[tuple[()], FaultOutput]:
         """Add the ramp."""
         rate = namespace(inputs.value).asarray(self.rate)
         return state, present(inputs.value + rate * smaller(column(inputs.elapsed), self.rise))

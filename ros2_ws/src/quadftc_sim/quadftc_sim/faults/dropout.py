@@ -1,6 +1,6 @@
 """Samples that are missing: the whole message (``imu``), or one channel of it, marked absent (REP-145)."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from quadftc_model.parameters import parameter
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, register
@@ -18,6 +18,6 @@ class Dropout(Fault):
         1.0, unit="1", low=0.0, high=1.0, doc="probability that a sample is missing"
     )
 
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: tuple[()], inputs: FaultInputs, dt: float) -> tuple[tuple[()], FaultOutput]:
         """Leave the value, and say whether it is there."""
         return state, FaultOutput(inputs.value, inputs.uniform[..., 0] >= self.probability)

@@ -1,6 +1,6 @@
 """Noise on top: a loose connection, vibration, a failing converter."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from quadftc_model.arrays import namespace
 from quadftc_model.parameters import parameter
@@ -17,6 +17,6 @@ class Noise(Fault):
         (0.0, 0.0, 0.0), unit="{channel}", low=0.0, doc="standard deviation of a sample"
     )
 
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: tuple[()], inputs: FaultInputs, dt: float) -> tuple[tuple[()], FaultOutput]:
         """Add the noise."""
         return state, present(inputs.value + namespace(inputs.value).asarray(self.sigma) * inputs.normal)

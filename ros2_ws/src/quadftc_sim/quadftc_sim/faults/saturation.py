@@ -1,7 +1,7 @@
 """A reading that ends at a limit: a range too small for the motion, a converter at its end."""
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from quadftc_model.arrays import clip
 from quadftc_model.parameters import parameter
@@ -16,6 +16,6 @@ class Saturation(Fault):
 
     limit: float = parameter(math.inf, unit="{channel}", low=0.0, doc="largest size of a reading")
 
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: tuple[()], inputs: FaultInputs, dt: float) -> tuple[tuple[()], FaultOutput]:
         """Hold the value within the limit."""
         return state, present(clip(inputs.value, -self.limit, self.limit))

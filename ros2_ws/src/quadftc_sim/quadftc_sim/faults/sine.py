@@ -1,7 +1,5 @@
 """An offset that oscillates: a resonance, interference."""
 
-from typing import Any
-
 from quadftc_model.arrays import column, namespace, sin
 from quadftc_model.parameters import parameter
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
@@ -15,7 +13,7 @@ class Sine(Fault):
     frequency: tuple[float, ...] = parameter((1.0, 1.0, 1.0), unit="rad/s", low=0.0, doc="angular frequency")
     phase: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="rad", doc="phase at the onset")
 
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: tuple[()], inputs: FaultInputs, dt: float) -> tuple[tuple[()], FaultOutput]:
         """Add the oscillation."""
         xp = namespace(inputs.value)
         amplitude, frequency, phase = map(xp.asarray, (self.amplitude, self.frequency, self.phase))

@@ -1,6 +1,6 @@
 """Single samples far off: bit errors, electric discharge."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from quadftc_model.arrays import column, namespace, where
 from quadftc_model.parameters import parameter
@@ -16,7 +16,7 @@ class Spikes(Fault):
     amplitude: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="{channel}", doc="size of a spike")
     rate: float = parameter(1.0, unit="1/s", low=0.0, doc="mean number of spikes in a second")
 
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: tuple[()], inputs: FaultInputs, dt: float) -> tuple[tuple[()], FaultOutput]:
         """Add a spike to the samples that the numbers drawn choose."""
         amplitude = namespace(inputs.value).asarray(self.amplitude)
         spike = amplitude * where(inputs.normal < 0.0, -1.0, 1.0)
