@@ -59,7 +59,7 @@ class Kind:
     registry: Registry[Any]
     flown: Callable[[Any, bool], Any]  # a law, in free flight or on the test stand, on received samples
     notes: Callable[[bool], Sequence[str]]  # what its user has to know
-    inputs: Callable[[Recording], Any] | None  # those of a recording; None: a recording has not all of them
+    inputs: Callable[[Recording], object] | None  # those of a recording; None: it has not all of them
 
 
 def _observed(recording: Recording) -> ObservationInputs:
@@ -101,7 +101,7 @@ def kind_of(name: str) -> Kind:
 
 def guarded_law(name: str, vehicle: str, settings: Sequence[str] = (), flies: bool = False) -> Any:
     """Return a law by name, guarded, for a vehicle (name or TOML file); settings are ``parameter=value``."""
-    kind, values = kind_of(name), dict[str, Any]()
+    kind, values = kind_of(name), dict[str, object]()
     for setting in settings:
         parameter, equals, value = setting.partition("=")
         if not equals or not parameter.strip():
@@ -148,7 +148,7 @@ def footprint_rows(exported: Exported, found: dict[Target, Footprint]) -> list[s
     ]
 
 
-def recorded_inputs(name: str = "") -> Callable[[Recording], Any]:
+def recorded_inputs(name: str = "") -> Callable[[Recording], object]:
     """Return what takes the inputs of a law out of a recording: by default, of fault observers."""
     kind = kind_of(name) if name else KINDS[0]
     if kind.inputs is None:
@@ -156,7 +156,7 @@ def recorded_inputs(name: str = "") -> Callable[[Recording], Any]:
     return kind.inputs
 
 
-def write_recording(recording: Recording, path: Path, inputs: Any) -> None:
+def write_recording(recording: Recording, path: Path, inputs: object) -> None:
     """Write the samples of a recording with the inputs that a law takes of it, arrays (n, ...)."""
     gaps = np.diff(recording.stamp_ns) / NANOSECONDS_PER_SECOND
     dt = np.concatenate([[0.0], np.where(gaps > MAX_GAP, 0.0, gaps)])  # 0: the law begins

@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
@@ -32,7 +32,7 @@ from quadftc_flight.scenario import (
     relabelled,
     with_components,
 )
-from quadftc_flight.summary import relate_to_undiagnosed
+from quadftc_flight.summary import Summary, relate_to_undiagnosed
 from quadftc_model.samples import AXES
 from quadftc_ros.scheduling import ORDINARY, Scheduling
 
@@ -89,7 +89,7 @@ def fly_loops(jobs: list[Job], out: Path, engine: str, force: bool, junit: Path 
     """Fly scenarios with their schemes in this process, without ROS; else as `fly_jobs`."""
     for scenario, _ in jobs:
         refuse_wrong_checks(scenario)
-    names, screen, summaries = [run_name(*job) for job in jobs], console(), list[dict[str, Any]]()
+    names, screen, summaries = [run_name(*job) for job in jobs], console(), list[Summary]()
     prepare(out, names, force)
     with Bars(screen) as bars:
         for name, job in zip(names, jobs, strict=True):
@@ -136,7 +136,7 @@ def fly_jobs(
     return show_runs([result for result in results if result is not None], out, screen, junit)
 
 
-def show_runs(summaries: list[dict[str, Any]], out: Path, screen: Console, junit: Path | None) -> int:
+def show_runs(summaries: list[Summary], out: Path, screen: Console, junit: Path | None) -> int:
     """Show what came out of the runs in a directory, and return the exit code."""
     for related in relate_to_undiagnosed(summaries):
         write_summary(out, related)
@@ -152,7 +152,7 @@ def show_runs(summaries: list[dict[str, Any]], out: Path, screen: Console, junit
     return judge(checks, screen, junit, "run")
 
 
-def _print_loss(item: Mapping[str, Any], out: Path, screen: Console) -> None:
+def _print_loss(item: Summary, out: Path, screen: Console) -> None:
     """Say when a flight was lost, what led there, and how to fly only up to there."""
     flight = read_run(out / item["bag"]).flight
     screen.print(f"[red]LOST[/] {item['name']}-{item['scheme']}: {loss_story(flight)}", markup=True)
@@ -161,7 +161,7 @@ def _print_loss(item: Mapping[str, Any], out: Path, screen: Console) -> None:
         screen.print(f"  up to there alone: {again}; without diagnosis: add --observer none")
 
 
-def _print_tables(summaries: Sequence[Mapping[str, Any]], screen: Console) -> None:
+def _print_tables(summaries: Sequence[Summary], screen: Console) -> None:
     """Print what became of each axis, and of the faults if there were any."""
     screen.print(_run_table(summaries, screen))
     if any(item["metrics"]["diagnosis"]["fault_count"] for item in summaries):
@@ -169,12 +169,12 @@ def _print_tables(summaries: Sequence[Mapping[str, Any]], screen: Console) -> No
         screen.print(diagnosis_table(named, screen))
 
 
-def _run_table(summaries: Sequence[Mapping[str, Any]], screen: Console) -> Table:
+def _run_table(summaries: Sequence[Summary], screen: Console) -> Table:
     """Table of runs: a row for each axis of each run, with as many columns as the screen has room for."""
     return fitting((_narrow_table(summaries, count) for count in range(len(COLUMNS), 0, -1)), screen)
 
 
-def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
+def _narrow_table(summaries: Sequence[Summary], count: int) -> Table:
     """Table with the first ``count`` columns."""
     table = plain_table(("run", "axis"), map(heading, COLUMNS[:count]))
     table.add_column("checks\npassed", no_wrap=True)

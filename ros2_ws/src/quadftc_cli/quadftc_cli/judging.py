@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD
 from quadftc_flight.junit import check_cases, write_junit
 
-Checks = Sequence[Mapping[str, Any]]  # as in summary.json
+Checks = Sequence[Mapping[str, object]]  # as in summary.json
 
 
 def judge(checks: Mapping[str, Checks], screen: Console, junit: Path | None, command: str) -> int:

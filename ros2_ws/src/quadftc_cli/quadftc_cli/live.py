@@ -42,7 +42,7 @@ class LiveGraph(NodeHost):
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def until(self, condition: Callable[[], Any], patience: float | None = None) -> bool:
+    def until(self, condition: Callable[[], object], patience: float | None = None) -> bool:
         """Serve the node until a condition holds; return whether it does."""
         end = time.monotonic() + (PATIENCE if patience is None else patience)
         while not condition():

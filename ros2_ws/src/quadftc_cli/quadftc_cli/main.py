@@ -14,7 +14,7 @@ import importlib.util
 import os
 import signal
 import sys
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -76,7 +76,7 @@ class Subcommands(TyperGroup):
 
 
 @functools.cache
-def _others() -> Any:
+def _others() -> EntryPoints:
     """Return the entry points of other packages' subcommands; to look for them takes a tenth of a second."""
     return entry_points(group=SUBCOMMANDS)
 

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from quadftc_cli.live_page.picture import MODES, amount, level_of
 from quadftc_cli.screen import plain_table
+from quadftc_model.arrays import Vector
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import AXES
 from quadftc_msgs.msg import ComponentFault
@@ -46,7 +47,7 @@ def sparkline(values: Sequence[float]) -> str:
     return "".join(BARS[round((value - low) * scale)] if math.isfinite(value) else " " for value in values)
 
 
-def angles_of(message: Any) -> Any:
+def angles_of(message: Any) -> Vector:
     """Return the Euler angles [deg] of a message with an attitude or a vector [rad]."""
     if hasattr(message, "orientation"):
         turn = message.orientation

@@ -7,7 +7,7 @@ import math
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.markup import escape
@@ -21,6 +21,7 @@ from quadftc_cli.screen import Bars, console, warn
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
+    from quadftc_flight.diagnosis_metrics.columns import Metrics
     from quadftc_report.campaign_results import Results
 
 SHOWN = {
@@ -155,14 +156,14 @@ def _table(results: Results) -> Table:
     return table
 
 
-def _worst(metrics: dict[str, Any], name: str) -> dict[str, Any]:
+def _worst(metrics: Metrics, name: str) -> Metrics:
     from quadftc_model.samples import AXES
 
     axes = [metrics[f"{name}.{axis}"] for axis in AXES]
     return max(axes, key=lambda each: each.get("q50", -math.inf))
 
 
-def _pair(values: dict[str, Any]) -> str:
+def _pair(values: Metrics) -> str:
     from quadftc_report.wording import NOTHING, short
 
     return f"{short(values['q50'])} / {short(values['q95'])}" if values.get("count") else NOTHING

@@ -43,7 +43,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "disturbances": disturbances,
     "winds": winds,
 }
-SENSORS: dict[str, tuple[type, Mapping[str, Mapping[str, Any]]]] = {
+SENSORS: dict[str, tuple[type, Mapping[str, Mapping[str, object]]]] = {
     "sensors": (ImuSensor, GRADES),
     "position_sensor": (PositionSensor, POSITION_GRADES),
     "magnetometer": (Magnetometer, MAGNETOMETER_GRADES),
@@ -103,7 +103,7 @@ def _sensors() -> Group:
     return Group(*(_grades(title, law, grades) for title, (law, grades) in SENSORS.items()))
 
 
-def _grades(title: str, law: type, grades: Mapping[str, Mapping[str, Any]]) -> Table:
+def _grades(title: str, law: type, grades: Mapping[str, Mapping[str, object]]) -> Table:
     table = _table(title, "parameter", *grades, "unit", "meaning")
     for row in parameters_of(law):
         unit = row.unit.replace("rad", "deg")
@@ -113,7 +113,7 @@ def _grades(title: str, law: type, grades: Mapping[str, Mapping[str, Any]]) -> T
     return table
 
 
-def _value(value: Any, factor: float) -> str:
+def _value(value: object, factor: float) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     parts = cast("tuple[float, ...]", value if isinstance(value, tuple) else (value,))

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD, NOT_ENOUGH, options
 from quadftc_cli.screen import Bars, console, plain_table, say
+
+if TYPE_CHECKING:
+    from quadftc_replay.inspection.verdict import Verdict
 
 SHOWN = 40  # moments of the timeline on the screen
 EXIT_CODES = {"healthy": GOOD, "fault": CHECK_FAILED, "not enough to say": NOT_ENOUGH}
@@ -101,7 +104,7 @@ def diagnose(
     return EXIT_CODES[verdict.outcome]
 
 
-def _show(verdict: Any) -> None:
+def _show(verdict: Verdict) -> None:
     from quadftc_replay.inspection.verdict import show
 
     say(verdict.sentence)

@@ -96,7 +96,7 @@ def _home(graph: LiveGraph, plant: str) -> tuple[float, ...]:
     return (place.x, place.y, place.z, float(yaw))
 
 
-def _values(graph: LiveGraph, node: str, *names: str, missing: Any = None) -> list[Any]:
+def _values(graph: LiveGraph, node: str, *names: str, missing: object = None) -> list[Any]:
     """Return parameters of a node; for one that it does not have ``missing``, or a GraphError."""
     request = GetParameters.Request(names=list(names))
     values = graph.call(f"{node}/get_parameters", GetParameters, request).values

@@ -21,6 +21,10 @@ INJECTED_AT, ESTIMATE_AT, LOW_AT, BAND_AT, TORQUE_AT = 22, 25, 28, 31, 34
 PLACE_REFERENCE_AT, PLACE_AT, ROTORS_AT = 37, 40, 43  # where the plant has a position
 TOP_VIEW = "top view: x right, y up"
 
+Options = dict[str, object]  # of an axis, as ECharts takes them
+Line = tuple[str, str, int, bool]  # name, colour, column, by axis
+Chart = tuple[str, str, list[Line], Options]
+
 
 class StripCharts(ui.element, component="charts.js"):
     """Charts of an axis that can be chosen; draws them some 10 times a second."""
@@ -52,12 +56,12 @@ def _short(value: float) -> float | None:
     return round(value, 4) if value == value else None  # NaN is none
 
 
-def _plan(picture: Picture) -> list[tuple[str, str, list[tuple[str, str, int, bool]], dict[str, Any]]]:
-    """Return of each chart title, unit, lines (name, colour, column, by axis) and options.
+def _plan(picture: Picture) -> list[Chart]:
+    """Return of each chart title, unit, lines and options.
 
     A chart that would stay empty is left out.
     """
-    plan = [
+    plan: list[Chart] = [
         (
             "attitude",
             "deg",
@@ -108,7 +112,7 @@ def _plan(picture: Picture) -> list[tuple[str, str, list[tuple[str, str, int, bo
 
 def _series(name: str, colour: str) -> dict[str, Any]:
     """A line without data."""
-    style: dict[str, Any] = {"width": 3.0 if name in ("truth", "injected") else 1.4, "color": colour}
+    style: dict[str, object] = {"width": 3.0 if name in ("truth", "injected") else 1.4, "color": colour}
     line = {"name": name, "type": "line", "showSymbol": False, "silent": True, "color": colour, "data": []}
     if name in ("low", "±2σ"):  # a band is stacked on its lower end
         area = {"areaStyle": {"color": colour if name == "±2σ" else "transparent"}}
@@ -116,7 +120,7 @@ def _series(name: str, colour: str) -> dict[str, Any]:
     return line | {"lineStyle": style | ({"type": "dashed"} if name == "reference" else {})}
 
 
-def _chart(title: str, unit: str, lines: list[tuple[str, str, int, bool]], y_axis: dict[str, Any]) -> Any:
+def _chart(title: str, unit: str, lines: list[Line], y_axis: Options) -> tuple[ui.echart, list[list[int]]]:
     """Make a chart; return it with the columns of its lines, and whether they are of the chosen axis."""
     series = [_series(name, colour) for name, colour, _, _ in lines]
     small = {"fontSize": 11, "color": "#5b626c"}

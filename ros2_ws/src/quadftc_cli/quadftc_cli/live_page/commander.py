@@ -5,15 +5,17 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from quadftc_cli.commands.inject import request_fields
 from quadftc_cli.commands.set import SETPOINTS, setpoint_message
 from quadftc_cli.live import LiveGraph
 from quadftc_flight.graph.plan import GraphError
 from quadftc_msgs.srv import ClearFault, InjectFault
+
+T = TypeVar("T")
 
 
 class Injected(NamedTuple):
@@ -61,7 +63,7 @@ class Commander:
         """Send a setpoint in SI: attitude or position."""
         await self._in_thread(lambda graph: self._publish(graph, target, numbers))
 
-    async def _call(self, name: str, service: Any, fields: dict[str, Any]) -> Any:
+    async def _call(self, name: str, service: Any, fields: Mapping[str, object]) -> Any:
         answer = await self._in_thread(lambda graph: graph.call(name, service, service.Request(**fields)))
         if not answer.success:
             raise ValueError(answer.message)
@@ -76,8 +78,8 @@ class Commander:
         message.header.stamp = graph.node.get_clock().now().to_msg()
         publisher.publish(message)
 
-    async def _in_thread(self, act: Callable[[LiveGraph], Any]) -> Any:
-        def run() -> Any:
+    async def _in_thread(self, act: Callable[[LiveGraph], T]) -> T:
+        def run() -> T:
             self._graph = self._graph or LiveGraph(self._namespace)
             return act(self._graph)
 

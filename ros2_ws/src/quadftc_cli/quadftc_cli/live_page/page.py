@@ -7,13 +7,14 @@ import math
 from collections.abc import Awaitable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fastapi import FastAPI
 from nicegui import background_tasks, ui
+from nicegui.events import GenericEventArguments, ValueChangeEventArguments
 
 from quadftc_cli.live_page.charts import StripCharts
-from quadftc_cli.live_page.commander import Commander
+from quadftc_cli.live_page.commander import Commander, Injected
 from quadftc_cli.live_page.feed import Flown
 from quadftc_cli.live_page.picture import Picture, State
 from quadftc_cli.live_page.player import Player
@@ -96,8 +97,8 @@ class _Page:
     def __init__(self, vehicle: Vehicle, number: int, names: Mapping[int, str]) -> None:
         self._picture, self._commander, self._flown, self._player = vehicle
         picture, _, flown, player = vehicle
-        self._chips: dict[str, Any] = {}
-        self._shown: dict[str, Any] = {}
+        self._chips: dict[str, ui.label] = {}
+        self._shown: dict[str, ui.label] = {}
         with ui.element("div").classes("page"):
             self._heading(number, names)
             with ui.element("div").classes("stage"):
@@ -121,7 +122,7 @@ class _Page:
         ui.timer(TEXT_PERIOD, self._tell)
 
     def _heading(self, number: int, names: Mapping[int, str]) -> None:
-        def choose(event: Any) -> None:
+        def choose(event: ValueChangeEventArguments) -> None:
             ui.navigate.to(f"/?vehicle={event.value}")
 
         with ui.element("header").classes("heading"):
@@ -177,12 +178,12 @@ class _Page:
                 button = ui.button("Inject", on_click=lambda: self._inject(own.value or ""))
                 button.props("unelevated no-caps color=grey-8")
             with ui.element("div").classes("injected"):
-                self._shown["injected"] = ui.element("div").classes("chips")
+                self._injected = ui.element("div").classes("chips")
                 clear = ui.button(
                     "Clear all", color=None, on_click=lambda: self._attempt(self._commander.clear())
                 )
                 clear.props('outline no-caps dense data-clear="all"')
-            self._listed: list[Any] | None = None
+            self._listed: list[Injected] | None = None
 
     def _setpoints(self) -> None:
         target = "position" if self._picture.latest.flies else "attitude"
@@ -191,7 +192,7 @@ class _Page:
             target, dict(zip(names, self._flown.home or (), strict=True))
         )
 
-        def take(name: str, unit: str, scale: float, shown: Any, event: Any) -> None:
+        def take(name: str, unit: str, scale: float, shown: ui.label, event: GenericEventArguments) -> None:
             values[name] = float(event.args) * scale
             shown.set_text(f"{event.args:g} {unit}")
             self._attempt(self._commander.set(target, values))
@@ -210,13 +211,13 @@ class _Page:
     def _controls(self, player: Player) -> None:
         """Lay play, pause, the slider and the speed over the picture."""
 
-        def pan(event: Any) -> None:
+        def pan(event: GenericEventArguments) -> None:
             self._seeking = event.args == "start"
 
-        def seek(event: Any) -> None:
+        def seek(event: GenericEventArguments) -> None:
             player.wanted = float(event.args)
 
-        def hasten(event: Any) -> None:
+        def hasten(event: ValueChangeEventArguments) -> None:
             player.speed = float(event.value)
 
         with ui.element("div").classes("player"):
@@ -248,7 +249,7 @@ class _Page:
             ui.label(f"{more or ('' if player.events else 'None known. ')}A recording takes no new faults.")
 
     def _axis_choice(self) -> None:
-        def choose(event: Any) -> None:
+        def choose(event: ValueChangeEventArguments) -> None:
             self._charts.choose(AXES.index(event.value))
 
         with ui.element("div").classes("axis"):
@@ -263,7 +264,7 @@ class _Page:
             self._axis.set_value(AXES[axis])
         self._attempt(self._commander.inject(fault))
 
-    def _attempt(self, act: Awaitable[Any]) -> None:
+    def _attempt(self, act: Awaitable[object]) -> None:
         """Do what may be refused, and say why."""
 
         async def attempt() -> None:
@@ -355,8 +356,8 @@ class _Page:
         if listed == self._listed:
             return
         self._listed = listed
-        self._shown["injected"].clear()
-        with self._shown["injected"]:
+        self._injected.clear()
+        with self._injected:
             for each in listed:
                 chip = ui.chip(each.words, removable=True, color="orange-2").props(
                     "dense square text-color=grey-10"

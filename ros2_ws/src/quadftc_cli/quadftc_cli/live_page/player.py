@@ -11,7 +11,7 @@ import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import yaml
@@ -34,6 +34,8 @@ from quadftc_flight.run_directory import (
 )
 from quadftc_ros.topics import GRAPHS, TOPICS
 from quadftc_sim.injection import TRUTH as INJECTED
+
+T = TypeVar("T")
 
 SAMPLES = "imu/data"
 # topics that tell which faults were injected, and of how many rotors
@@ -129,13 +131,13 @@ def _flown(bag: Bag, topics: set[str], rate: float) -> Flown:
     )
 
 
-def _text(values: Mapping[str, Any], key: str) -> str:
+def _text(values: Mapping[str, object], key: str) -> str:
     """Return a text; empty if it is missing, or no text."""
     value = values.get(key)
     return value if isinstance(value, str) else ""
 
 
-def _parsed(bag: Bag, name: str, parse: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
+def _parsed(bag: Bag, name: str, parse: Callable[[str], dict[str, T]]) -> dict[str, T]:
     """Return what a file of the bag says; nothing where it is missing, BagError if it makes no sense."""
     text = attached_text(bag, name)
     try:
