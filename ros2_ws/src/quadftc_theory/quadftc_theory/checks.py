@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from typing import Any
 
 import numpy as np
 from pydantic_core import to_json
@@ -59,7 +58,7 @@ class CheckReport:
         """Whether nothing fails that the scheme needs."""
         return not self.failed
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Ready for JSON; None for what is not finite."""
         found = {name: getattr(self, name) for name in ("scenario", "scheme", "bag", "passed", "sections")}
         found["bounds"] = self.given.bounds
@@ -156,7 +155,7 @@ def circumstances_of_run(run: RecordedRun, trace: Trace) -> Circumstances:
     planned, flight = circumstances(run.scenario, run.scheme), run.flight
     drag = planned.vehicle.rotational_drag / run.scenario.plant.inertia * flight.body_rate
     disturbance = flight.disturbance - drag
-    changes: dict[str, Any] = {}  # what the truth tells
+    changes: dict[str, Bound | Series] = {}  # what the truth tells
     if np.any(np.isfinite(flight.angles)):
         changes["tilt"] = Bound(float(np.nanmax(np.abs(flight.angles[:, :2]))), "rad", "trace")
     if np.any(np.isfinite(flight.body_rate)):

@@ -20,7 +20,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from quadftc_model.vehicle import Vehicle
 
@@ -46,7 +46,7 @@ class Condition:
     name: str  # as the source calls it
     verdict: Verdict
     text: str  # in plain words, with numbers and units
-    numbers: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])  # SI units
+    numbers: Mapping[str, object] = dataclasses.field(default_factory=dict[str, object])  # SI units
     needed: bool = True  # by the scheme: its FAIL is a FAIL of the whole
 
     @property
@@ -57,12 +57,12 @@ class Condition:
 
 def assess(
     name: str,
-    holds: Any,
+    holds: bool | np.bool_,
     text: str,
     /,
     otherwise: Verdict = Verdict.FAIL,
     needed: bool = True,
-    **numbers: Any,
+    **numbers: object,
 ) -> Condition:
     """Return a condition that passes where it holds, with its numbers."""
     return Condition(name, Verdict.PASS if holds else otherwise, text, numbers, needed)
@@ -153,7 +153,7 @@ def falls(
     required: Floats,
     outside: NDArray[np.bool_],
     note: str = "",
-    **numbers: Any,
+    **numbers: object,
 ) -> Condition:
     """Judge a Lyapunov derivative along a run, outside the boundary layers only.
 
@@ -186,7 +186,7 @@ def per_axis(values: Iterable[float], digits: int = 3) -> str:
     return "/".join(f"{value:.{digits}g}" for value in values)
 
 
-def pairs(values: Any) -> list[Any]:
+def pairs(values: ArrayLike) -> list[object]:
     """Complex numbers as [real, imaginary], for JSON."""
     numbers: NDArray[np.complex128] = np.asarray(values, np.complex128)
     return np.stack([numbers.real, numbers.imag], axis=-1).tolist()

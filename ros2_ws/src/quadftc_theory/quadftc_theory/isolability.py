@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 from scipy.sparse.csgraph import connected_components
 
+from quadftc_model.arrays import AnyArray
 from quadftc_model.vehicle import Vehicle
 from quadftc_theory.vehicle_equations import CHOICES, Assumptions, LinearModel, vehicle_model
 
@@ -28,6 +29,7 @@ RANK_TOLERANCE = 1e-9  # 1; of singular values, relative to the largest
 RESPONSE_TOLERANCE = 1e-7  # 1; a residual's response to a fault of size 1 below it is rounding
 
 Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class IsolabilityResult:
         members = [self._named(labels == label) for label in range(count)]
         return tuple(group for group in members if len(group) > 1)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Everything as lists, strings and truth values, for JSON."""
         names = [*vars(self), "undetectable", "transient", "groups"]
         values = [getattr(self, name) for name in names]
@@ -112,7 +114,7 @@ def strong_isolability(model: LinearModel) -> tuple[Mask, Mask]:
     return _responses(unknowns, np.kron(powers, faults), faults)
 
 
-def _scaled(model: LinearModel) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+def _scaled(model: LinearModel) -> tuple[Floats, Floats, Floats]:
     """H0, H1 of H(s) = H0 + H1 s over the unknowns (states, others), and F, scaled.
 
     Equations, units of the unknowns and unit of time are scaled so that the logarithms of all coefficients
@@ -129,7 +131,7 @@ def _scaled(model: LinearModel) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any
     return constant, linear * scale[-1], np.where(model.F != 0.0, 1.0, 0.0)
 
 
-def _responses(unknowns: NDArray[Any], blocks: NDArray[Any], faults: NDArray[Any]) -> tuple[Mask, Mask]:
+def _responses(unknowns: AnyArray, blocks: AnyArray, faults: Floats) -> tuple[Mask, Mask]:
     """Whether rows N with N unknowns = 0, and for isolability N blocks_j = 0, respond to each fault.
 
     The response is that of the first entries of N, as many as ``faults`` has rows. Every ``n``-th column of
@@ -137,7 +139,7 @@ def _responses(unknowns: NDArray[Any], blocks: NDArray[Any], faults: NDArray[Any
     """
     equations, count = faults.shape
 
-    def responds(blind_to: NDArray[Any]) -> Mask:
+    def responds(blind_to: AnyArray) -> Mask:
         # N is a row, its transpose in the null space; the conjugate matters for a complex s only
         basis = null_space(blind_to.T, rcond=RANK_TOLERANCE)[:equations]
         return np.linalg.norm(basis.T @ faults, axis=0) > RESPONSE_TOLERANCE

@@ -120,7 +120,7 @@ class LinearModel:
 
 def linearised(
     name: str,
-    equations: Sequence[Any],
+    equations: Sequence[sympy.Expr],
     *,
     states: Sequence[str],
     unknowns: Sequence[str],
@@ -201,7 +201,7 @@ def motion_point(vehicle: Vehicle, assumptions: Assumptions) -> dict[str, float]
     return values
 
 
-def _motion(vehicle: Vehicle, disturbances: Sequence[str], air: str) -> list[Any]:
+def _motion(vehicle: Vehicle, disturbances: Sequence[str], air: str) -> list[sympy.Expr]:
     """Kinematics (4), rotation (1), (2), translation and specific force; each expression is zero."""
     sin, cos = sympy.sin, sympy.cos
     phi, theta, thrust = _vector(["phi", "theta", "thrust"])
@@ -224,7 +224,7 @@ def _motion(vehicle: Vehicle, disturbances: Sequence[str], air: str) -> list[Any
     return [*(derivatives - sympy.Matrix([*kinematics, *rotation, *translation])), *(force - specific_force)]
 
 
-def _path() -> list[Any]:
+def _path() -> list[sympy.Expr]:
     """The change of the position by the velocity; each expression is zero."""
     phi, theta, psi = (sympy.Symbol(name) for name in ANGLES)
     turns = ((sympy.rot_axis3, psi), (sympy.rot_axis2, theta), (sympy.rot_axis1, phi))
@@ -232,7 +232,7 @@ def _path() -> list[Any]:
     return list(_vector([f"d{name}" for name in POSITION]) - yaw * pitch * roll * _vector(VELOCITY))
 
 
-def _actuation(vehicle: Vehicle, actuators: Sequence[str], commands: Sequence[str]) -> list[Any]:
+def _actuation(vehicle: Vehicle, actuators: Sequence[str], commands: Sequence[str]) -> list[sympy.Expr]:
     """The torques, and the thrust over mass where it is known, by the commands."""
     if not actuators:
         return []
