@@ -8,13 +8,13 @@ On the test stand the torque of the controller acts, and the thrust of the comma
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from quadftc_control.allocation import actuated
 from quadftc_control.controller import Controller
-from quadftc_control.reduced_attitude import Enduring, ReducedAttitude
+from quadftc_control.reduced_attitude import Enduring, ReducedAttitude, State
 from quadftc_model.arrays import Components, Flag, Scalar, Vector, column, namespace, where
 from quadftc_model.parameters import Checked
 from quadftc_model.rotors import wrench_from_speeds
@@ -82,11 +82,11 @@ class AttitudeLoop(Checked):
         rotors = {"speeds": self.vehicle.hover_speed * ones, "measured": np.True_, "effectiveness": ones}
         return inputs._replace(**rotors) if self.flies else inputs
 
-    def init(self, inputs: AttitudeLoopInputs) -> Any:
+    def init(self, inputs: AttitudeLoopInputs) -> State:
         """Return the state of the controller."""
         return self._law.init(self._seen(inputs))
 
-    def step(self, state: Any, inputs: AttitudeLoopInputs, dt: float) -> tuple[Any, AttitudeLoopOutput]:
+    def step(self, state: State, inputs: AttitudeLoopInputs, dt: float) -> tuple[State, AttitudeLoopOutput]:
         """Compute torque and speeds for a sample."""
         state, output = self._law.step(state, self._seen(inputs), dt)
         return state, self.actuated(inputs.command.thrust, output, inputs.effectiveness)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 from quadftc_control.weak_allocation import reachable_in_hover
 from quadftc_model.arrays import Components, Mask, Vector, branch, where
@@ -54,6 +53,8 @@ def anti_windup(integral: Vector, error: Vector, wanted: Vector, given: Vector, 
     return integral + dt * where(deeper, 0.0, error)
 
 
-controllers: Registry[Any] = Registry("controller", "quadftc_control.controllers", "quadftc.controllers")
+controllers: Registry[Controller] = Registry(
+    "controller", "quadftc_control.controllers", "quadftc.controllers"
+)
 register = controllers.register
 controller_from = law_from(controllers, "controller")  # from the parameters of its node

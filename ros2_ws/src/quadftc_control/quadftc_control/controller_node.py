@@ -12,7 +12,7 @@ What it decides in flight: `quadftc_control.flight_manager`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -24,7 +24,7 @@ from quadftc_control.controller import Controller, controller_from, controllers
 from quadftc_control.flight_manager import Command, FlightManager
 from quadftc_control.input_monitor import Mode, Patience
 from quadftc_control.last_words import MessageReader
-from quadftc_model.assembly import build_prefixed
+from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ALARMS, AttitudeCommand, ImuSample
 from quadftc_model.stepper import seconds
@@ -59,7 +59,7 @@ class ControllerParameters:
     controller: str = parameter("ismc", doc="name of the controller; may be changed in flight")
 
 
-def _build(values: Mapping[str, Any]) -> tuple[Controller, Patience]:
+def _build(values: NodeParameters) -> tuple[Controller, Patience]:
     return controller_from(values), build_prefixed(Patience, values, "patience")
 
 
@@ -157,7 +157,7 @@ class ControllerNode(GraphNode):
         if self.active:
             self._act(self._manager.watch, self.pace.now().nanoseconds)
 
-    def _act(self, decide: Callable[..., Command | None], *inputs: Any) -> None:
+    def _act(self, decide: Callable[..., Command | None], *inputs: object) -> None:
         """Publish what is kept for observers that restart, then the torque and how it came about."""
         begin = perf_counter()
         command = decide(*inputs)

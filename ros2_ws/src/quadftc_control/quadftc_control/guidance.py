@@ -8,7 +8,7 @@ that cannot be used, such as one with absurd accelerations, is replaced by the l
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from quadftc_control.position_loop import (
     PositionLoopOutput,
     position_loop_from,
 )
+from quadftc_control.position_loop import State as PositionLoopState
 from quadftc_control.reference import Reference, combined, level, references_from
 from quadftc_control.trajectory import (
     PositionSetpoint,
@@ -98,7 +99,7 @@ class GuidanceOutput(NamedTuple):
 class State(NamedTuple):
     """State at the last sample."""
 
-    loop: Any  # of the outer loop
+    loop: PositionLoopState  # of the outer loop
     reference: PositionReference  # the last one that could be used
 
 

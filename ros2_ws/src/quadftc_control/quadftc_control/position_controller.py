@@ -81,7 +81,7 @@ class Pushed(NamedTuple):
 class State(NamedTuple):
     """State at the last sample."""
 
-    law: Any  # of the law
+    law: object  # of the law
     last: Pushed
     reference: AttitudeReference  # of the command filter
     spins: Flag  # the vehicle turns about its thrust, faster than anybody asks for
@@ -115,13 +115,13 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         return self.agility * self.vehicle.authority / self.vehicle.inertia
 
     @abc.abstractmethod
-    def start(self, inputs: PositionControllerInputs) -> Any:
+    def start(self, inputs: PositionControllerInputs) -> object:
         """State of the law at the first sample."""
 
     @abc.abstractmethod
     def push(
         self, state: Any, inputs: PositionControllerInputs, last: Pushed, dt: float
-    ) -> tuple[Any, Vector]:
+    ) -> tuple[object, Vector]:
         """State and acceleration (..., 3) [m/s²] that shall correct the errors, earth axes.
 
         ``last`` is what was wanted and given at the sample before.
@@ -208,7 +208,7 @@ def _tilt(force: Vector, yaw: Scalar) -> tuple[Scalar, Scalar]:
     return arctan2(-left, sqrt(ahead * ahead + z * z)), arctan2(ahead, z)
 
 
-position_controllers: Registry[Any] = Registry(
+position_controllers: Registry[PositionController] = Registry(
     "position controller", "quadftc_control.position_controllers", "quadftc.position_controllers"
 )
 register = position_controllers.register

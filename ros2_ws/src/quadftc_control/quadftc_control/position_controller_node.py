@@ -9,7 +9,6 @@ Services: ~/reset (std_srvs/Trigger): the next sample is scenario time 0.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -29,12 +28,12 @@ from quadftc_control.trajectory import (
     combined,
     trajectories_from,
 )
-from quadftc_model.assembly import build_prefixed
+from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import NO_PLACE, ImuSample, PositionSample, is_usable
-from quadftc_model.stepper import Stepper
+from quadftc_model.stepper import Law, Stepper
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import ERROR, OK
 from quadftc_ros.executor import run_node
@@ -75,7 +74,7 @@ class PositionControllerNode(GraphNode):
         self._live = values["source"] == "topic"
         self._place = build_prefixed(PlaceParameters, values, "position")
         engine = engine_from(values, self.get_logger().info)
-        self._stepper = Stepper[Any, GuidanceOutput](self._build(values), engine=engine)
+        self._stepper = Stepper(self._build(values), engine=engine)
         self._scenario = ScenarioClock()
         self._restarts = 0  # of its law, since the last report
         self._restart()
@@ -91,7 +90,7 @@ class PositionControllerNode(GraphNode):
         self.diagnostics.report("source", OK, values["source"])
         self.ready()
 
-    def _build(self, values: Mapping[str, Any]) -> Any:
+    def _build(self, values: NodeParameters) -> Law[Any, GuidanceOutput]:
         """Build what is flown; a ValueError says which parameter is wrong, of the filter in any case."""
         live = live_guidance_from(values)
         return live if self._live else flight_guidance_from(values)

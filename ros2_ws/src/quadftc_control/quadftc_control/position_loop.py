@@ -7,17 +7,19 @@ output that cannot be used is replaced by the last that could, and both laws sta
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from quadftc_control.position_controller import (
     PositionController,
     PositionControllerInputs,
     position_controller_from,
 )
+from quadftc_control.position_controller import State as PositionControllerState
 from quadftc_model.arrays import Flag, branch, chosen, column, namespace, where
 from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import Checked
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
+from quadftc_model.position_estimator import State as PositionEstimatorState
 from quadftc_model.samples import (
     AttitudeCommand,
     AttitudeReference,
@@ -48,8 +50,8 @@ class PositionLoopOutput(NamedTuple):
 class State(NamedTuple):
     """States of both laws, and the last output that could be used; before the first, level hover."""
 
-    estimator: Any
-    controller: Any
+    estimator: PositionEstimatorState
+    controller: PositionControllerState
     last: PositionLoopOutput
 
 

@@ -29,7 +29,7 @@ the axis is body z. What the rotor opposite to one that is off gives in the mean
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -123,7 +123,7 @@ def wanted_direction(imu: ImuSample, reference: AttitudeReference) -> Vector:
 class State(NamedTuple):
     """State at the last sample."""
 
-    law: Any  # of the controller
+    law: object  # of the controller
     active: Flag  # the reduced attitude is controlled instead
 
 
@@ -154,7 +154,7 @@ class Enduring(Checked):
         )
         return State(law, active), output
 
-    def _reduced(self, inputs: ControllerInputs, dt: float) -> tuple[Any, ControllerOutput]:
+    def _reduced(self, inputs: ControllerInputs, dt: float) -> tuple[object, ControllerOutput]:
         """State of the controller that starts anew, and the torque that controls the direction."""
         torque = self.reduced.torque(self.law.vehicle, inputs.imu, inputs.reference, dt)
         zeros = namespace(torque).zeros_like(torque)

@@ -11,7 +11,6 @@ import functools
 import math
 import operator
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -62,7 +61,7 @@ def smooth_rise(fraction: Array) -> tuple[Array, Array, Array]:
     return value, slope, curvature
 
 
-references: Registry[Any] = Registry("reference", "quadftc_control.references", "quadftc.references")
+references: Registry[Reference] = Registry("reference", "quadftc_control.references", "quadftc.references")
 register = references.register
 
 

@@ -9,7 +9,6 @@ Services: ~/reset (std_srvs/Trigger): the next sample is scenario time 0.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 from quadftc_compile.engine import engine_from
 from quadftc_control.guidance import ScenarioClock, stand_guidance_from
 from quadftc_control.reference import MAX_TILT, SetpointFilter
-from quadftc_model.assembly import build_prefixed
+from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import is_usable
 from quadftc_model.stepper import Stepper
@@ -61,7 +60,7 @@ class ReferenceNode(GraphNode):
         self.diagnostics.report("source", OK, values["source"])
         self.ready()
 
-    def _build(self, values: Mapping[str, Any]) -> Any:
+    def _build(self, values: NodeParameters) -> Any:
         """Build what is flown; a ValueError says which parameter is wrong, of the filter in any case."""
         smooth = build_prefixed(SetpointFilter, values, "setpoint")
         return smooth if self._live else stand_guidance_from(values)

@@ -11,10 +11,21 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from quadftc_control.reference import smooth_rise
-from quadftc_model.arrays import Scalar, Vector, arctan2, clip, column, larger, namespace, norm, stacked
+from quadftc_model.arrays import (
+    Array,
+    Scalar,
+    Vector,
+    arctan2,
+    clip,
+    column,
+    larger,
+    namespace,
+    norm,
+    stacked,
+)
 from quadftc_model.assembly import NodeParameters, components_from
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.registry import Registry
@@ -96,11 +107,13 @@ def combined(trajectories: Sequence[Trajectory], time: Scalar) -> PositionRefere
     return functools.reduce(_sum, parts)
 
 
-def _sum(one: Any, other: Any) -> PositionReference:
+def _sum(one: Sequence[Array], other: Sequence[Array]) -> PositionReference:
     return PositionReference(*map(operator.add, one, other))
 
 
-trajectories: Registry[Any] = Registry("trajectory", "quadftc_control.trajectories", "quadftc.trajectories")
+trajectories: Registry[Trajectory] = Registry(
+    "trajectory", "quadftc_control.trajectories", "quadftc.trajectories"
+)
 register = trajectories.register
 
 

@@ -9,8 +9,6 @@ boundary layer a constant one leaves an error of d phi / (k_c3 k_c2).
 
 from __future__ import annotations
 
-from typing import Any
-
 from quadftc_control.controller import Controller, limited, register
 from quadftc_control.sliding_surface import sat, torque_for, tracking
 from quadftc_model.arrays import namespace
@@ -32,7 +30,9 @@ class Smc(Controller):
         """Return no state."""
         return ()
 
-    def step(self, state: Any, inputs: ControllerInputs, dt: float) -> tuple[Any, ControllerOutput]:
+    def step(
+        self, state: tuple[()], inputs: ControllerInputs, dt: float
+    ) -> tuple[tuple[()], ControllerOutput]:
         """Compute the torque for a sample."""
         track = tracking(inputs)
         xp = namespace(track.x1e)
