@@ -7,14 +7,14 @@ import functools
 import html
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from quadftc_report.campaign_results import Floats, Results, Side
-from quadftc_report.draw_plotly import TOP, axis, empty_figure, line_look, spec_of
+from quadftc_report.draw_plotly import TOP, Look, axis, empty_figure, line_look, spec_of
 from quadftc_report.wording import plain, short
 
 HEIGHT = 380  # px
@@ -33,10 +33,10 @@ class Picture(NamedTuple):
     key: str
     title: str
     caption: str
-    plots: dict[str, dict[str, Any]]
+    plots: dict[str, Look]
 
 
-def log_ticks(low: float, high: float) -> dict[str, Any]:
+def log_ticks(low: float, high: float) -> Look:
     """Return the ticks of a logarithmic scale, for Plotly."""
     steps = (1.0, 2.0, 5.0) if math.log10(high / low) <= DECADES else (1.0,)
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -18,7 +18,7 @@ from quadftc_campaign.table import whole_flights
 from quadftc_model.samples import AXES
 from quadftc_report.campaign_curves import RATIO, Picture, escape, log_ticks, variant_figure
 from quadftc_report.campaign_results import Floats, Results, numbers
-from quadftc_report.draw_plotly import spec_of
+from quadftc_report.draw_plotly import Look, spec_of
 from quadftc_report.metric_kinds import SCALES, Kind, describe
 from quadftc_report.wording import plain as digits
 from quadftc_report.wording import short
@@ -117,15 +117,14 @@ def _listed(frame: pl.DataFrame, path: str, drawn: Distribution) -> BinAxis:
     """One bin for each value; numbers in their order."""
     names = {_key(plain(each)): str(plain(each) if isinstance(each, dict) else each) for each in drawn.values}
     keys = sorted(names) if all(isinstance(key, float) for key in names) else list(names)
-    there: list[Any] = frame[path].to_list() if path in frame.columns else [None] * frame.height
+    there: list[object] = frame[path].to_list() if path in frame.columns else [None] * frame.height
     bins = np.array([keys.index(key) if (key := _key(value)) in names else -1 for value in there], np.intp)
     return BinAxis(path, tuple(names[key] for key in keys), bins)
 
 
-def _key(value: Any) -> float | str:
+def _key(value: object) -> float | str:
     """A value as it compares between the campaign file and the table."""
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return float(value) if is_number else str(value)
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else str(value)
 
 
 def _bins_for(flights: int, both: tuple[Distribution, Distribution]) -> int:
@@ -142,10 +141,10 @@ def _mapped_paths(campaign: Campaign) -> tuple[str, ...]:
     return tuple(wanted if len(set(wanted)) == len(wanted) == 2 else able[:2])
 
 
-def _spec(key: str, maps: Maps, variant: str) -> dict[str, Any]:
+def _spec(key: str, maps: Maps, variant: str) -> Look:
     """Draw the map of a variant, in the colours that hold for all variants."""
     medians, (low, high) = maps.medians[variant], maps.span
-    bar: dict[str, Any] = {"title": {"text": f"median {maps.kind.heading}", "side": "right"}}
+    bar: Look = {"title": {"text": f"median {maps.kind.heading}", "side": "right"}}
     shown, edges = medians, (low, high)
     if low > 0.0 and high > RATIO * low:
         shown, edges = np.log10(np.maximum(shown, low)), (np.log10(low), np.log10(high))

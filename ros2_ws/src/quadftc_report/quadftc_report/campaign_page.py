@@ -165,7 +165,7 @@ def _drawn_head(path: str, drawn: Distribution, frame: pl.DataFrame) -> tuple[st
     return f"{name} [{unit}]" if unit else name, "number" if is_number else ""
 
 
-def _drawn_text(value: Any) -> str:
+def _drawn_text(value: object) -> str:
     """A value as it was drawn; long numbers with three digits."""
     if value is None or isinstance(value, float):
         return NOTHING if value is None else plain(value)

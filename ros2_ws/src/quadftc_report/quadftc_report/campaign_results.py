@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.table import whole_flights
-from quadftc_flight.summary import NO_OBSERVER
+from quadftc_flight.summary import NO_OBSERVER, Summary
 from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ class Side:
 
     name: str
     rows: pl.DataFrame  # of the table
-    summary: Mapping[str, Any]  # its part
+    summary: Summary  # its part
     has_observer: bool  # whether any of its flights estimates sensor faults
     role: str  # look of its lines (`quadftc_report.style.line_style`)
     rank: int
@@ -83,7 +83,7 @@ class Results(NamedTuple):
     campaign: Campaign
     frame: pl.DataFrame
     sides: tuple[Side, ...]
-    checks: Mapping[str, Sequence[Mapping[str, Any]]]  # what became of them, by variant
+    checks: Mapping[str, Sequence[Mapping[str, object]]]  # what became of them, by variant
 
     @property
     def kinds(self) -> list[str]:
@@ -92,7 +92,7 @@ class Results(NamedTuple):
         return [*sorted(found - {"all"}), *(["all"] if found else [])]
 
 
-def results_of(campaign: Campaign, frame: pl.DataFrame, summary: Mapping[str, Any]) -> Results:
+def results_of(campaign: Campaign, frame: pl.DataFrame, summary: Summary) -> Results:
     """Divide the table of a campaign among its variants."""
     sides: list[Side] = []
     for name in [variant.name for variant in campaign.variants]:
@@ -101,7 +101,7 @@ def results_of(campaign: Campaign, frame: pl.DataFrame, summary: Mapping[str, An
         first = observes and not any(side.role == "proposed" for side in sides)
         look = ("proposed", 0) if first else ("compared", sum(side.role == "compared" for side in sides))
         sides.append(Side(name, rows, summary["variants"][name], observes, *look))
-    checks: dict[str, list[Mapping[str, Any]]] = {}
+    checks: dict[str, list[Mapping[str, object]]] = {}
     for check in summary.get("checks", ()):
         checks.setdefault(check["variant"], []).append(check)
     return Results(campaign, frame, tuple(sides), checks)

@@ -156,7 +156,7 @@ def _error_ratio(comparison: Comparison[Recorded], run: Recorded) -> float | Non
     return errors[0] / errors[1] if len(errors) == 2 and all(errors) else None
 
 
-def controls(run: Recorded) -> tuple[Any, ...]:
+def controls(run: Recorded) -> tuple[str | None, ...]:
     """Name the disturbance observer and the controller of a run."""
     return run.summary.get("disturbance_observer"), run.summary.get("controller")
 
@@ -203,7 +203,7 @@ def _when(part: Any, end: float) -> str:
 
 
 def _describe(
-    kind: str, law: Any, given: Sequence[str], axes: Sequence[str], units: Mapping[str, str]
+    kind: str, law: object, given: Sequence[str], axes: Sequence[str], units: Mapping[str, str]
 ) -> str:
     """``bias: value 1 deg``; ``sine: amplitude 2 deg, frequency 0.6 rad/s``."""
     texts: list[str] = []
@@ -218,7 +218,7 @@ def _describe(
     return ": ".join(filter(None, [kind, ", ".join(texts)]))
 
 
-def _value(value: Any, scale: float, axes: Sequence[str]) -> str:
+def _value(value: object, scale: float, axes: Sequence[str]) -> str:
     if isinstance(value, tuple):
         given = zip(AXES, cast("tuple[float, ...]", value), strict=True)
         numbers = [plain(scale * number) for axis, number in given if axis in axes]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_OF_ROTORS
 from quadftc_flight.diagnosis_metrics.which_sensor import AMBIGUOUS, NOTHING, SAID, TIME
@@ -12,6 +12,7 @@ from quadftc_report.wording import plain
 
 COLUMNS = tuple(said for said in SAID if said != TIME)
 ROTOR_COLUMNS = tuple(said for said in SAID_OF_ROTORS if said != TIME)
+Times = Mapping[str, Mapping[str, float | Mapping[str, float | None] | None]]  # [s], by fault and claim
 _RIGHT = {"rotor": "faulty_rotor"}  # what is right to say, if it is not the name of what is faulty
 
 
@@ -30,9 +31,7 @@ class Confusion(NamedTuple):
     rows: Mapping[str, tuple[str, Sequence[Cell]]]
 
 
-def confusions(
-    times: Iterable[tuple[str, Mapping[str, Mapping[str, Any]]]], columns: Sequence[str] = COLUMNS
-) -> list[Confusion]:
+def confusions(times: Iterable[tuple[str, Times]], columns: Sequence[str] = COLUMNS) -> list[Confusion]:
     """Return matrices by their labels and times [s], or times of each axis, by what is faulty and claim.
 
     Those without any time are left out, and of rotors those in which none is ever faulty.

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, cast
 
 import matplotlib as mpl
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -58,7 +60,7 @@ def draw(figure: Figure) -> Canvas:
     canvas = Canvas(layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, hspace=0.02))
     FigureCanvasAgg(canvas)
     axes = canvas.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    entries: dict[str, Any] = {}
+    entries: dict[str, Artist] = {}
     for ax, panel in zip(axes, figure.panels, strict=True):
         ax.set_ylabel(panel.axis_label("\n"))
         for label, handle in _panel(ax, panel):
@@ -75,7 +77,7 @@ def draw(figure: Figure) -> Canvas:
     return canvas
 
 
-def _panel(ax: Any, panel: Panel) -> Iterator[tuple[str, Any]]:
+def _panel(ax: Axes, panel: Panel) -> Iterator[tuple[str, Artist]]:
     """Draw a panel; yield its entries in the legend."""
     if panel.ticks:
         ax.set_yticks(*zip(*panel.ticks, strict=True))
@@ -110,7 +112,7 @@ def _line(role: str, rank: int) -> dict[str, Any]:
     return {"color": style.colour, "linewidth": width, "zorder": order, **dashes}
 
 
-def _legend(canvas: Canvas, entries: dict[str, Any]) -> int:
+def _legend(canvas: Canvas, entries: dict[str, Artist]) -> int:
     """Put the legend above the panels, row by row, in as many columns as fit; return the number of rows."""
     labels = list(entries)
     width = LETTER * max(map(len, labels)) + (HANDLE + 0.4 + 1.0) * STYLE["legend.fontsize"] / 72.0

@@ -25,8 +25,9 @@ SCREEN = 1.8  # dashes are longer on the screen than on paper, which is finer
 FILL = 0.18  # opacity of areas
 TOP = 52  # px; of it, with one row of the legend
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
-LINES: dict[str, Any] = {"showline": True, "linecolor": "#9a9a9a", "mirror": "all", "zeroline": False}
-CONFIG: dict[str, Any] = {
+Look = dict[str, Any]  # attributes as Plotly names them
+LINES: Look = {"showline": True, "linecolor": "#9a9a9a", "mirror": "all", "zeroline": False}
+CONFIG: Look = {
     "displaylogo": False,
     "responsive": True,
     "doubleClick": "reset",  # codespell:ignore
@@ -34,13 +35,13 @@ CONFIG: dict[str, Any] = {
 }
 
 
-def spec_of(drawing: go.Figure, key: str) -> dict[str, Any]:
+def spec_of(drawing: go.Figure, key: str) -> Look:
     """Return data, layout and config of a drawing that is saved under a key."""
     image = {"filename": key, "format": "svg"}
     return {**drawing.to_dict(), "config": {**CONFIG, "toImageButtonOptions": image}}
 
 
-def empty_figure(height: float, top: float, **layout: Any) -> go.Figure:
+def empty_figure(height: float, top: float, **layout: object) -> go.Figure:
     """Return a figure without lines; its width is that of its place."""
     place = {"orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"}
     look = {
@@ -53,7 +54,7 @@ def empty_figure(height: float, top: float, **layout: Any) -> go.Figure:
     return go.Figure(layout={**look, "height": height, "dragmode": "zoom"}).update_layout(layout)
 
 
-def axis(title: str, **others: Any) -> dict[str, Any]:
+def axis(title: str, **others: object) -> Look:
     """Return the look of an axis."""
     return {"title": {"text": title, "standoff": 7}, **LINES, **others}
 
@@ -77,7 +78,7 @@ def plotly_figure(figure: Figure) -> go.Figure:
     top = total
     for number, (panel, height) in enumerate(zip(figure.panels, heights, strict=True), 1):
         suffix = str(number) if number > 1 else ""
-        look: dict[str, Any] = {"domain": [max((top - height) / total, 0.0), min(top / total, 1.0)]}
+        look: Look = {"domain": [max((top - height) / total, 0.0), min(top / total, 1.0)]}
         if panel.ticks:
             values, texts = zip(*panel.ticks, strict=True)
             look |= {"tickvals": values, "ticktext": texts, "range": list(panel.tick_span)}
@@ -99,7 +100,7 @@ def plotly_figure(figure: Figure) -> go.Figure:
     return drawing
 
 
-def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]:
+def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[Look]:
     """Everything of a panel that has samples or belongs to the range of its y axis."""
     words = dict(panel.ticks)
     for trace in panel.traces:
@@ -123,7 +124,7 @@ def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]
         yield {"name": band.label, **edges, "hoverinfo": "skip", **thin, "zorder": 0}
 
 
-def _area(area: Envelope) -> dict[str, Any]:
+def _area(area: Envelope) -> Look:
     """An area as one closed outline for each stretch without gap: forth above, back below, and a NaN."""
     chosen = choose_samples(area.t, area.low, area.high)
     t, low, high = area.t[chosen], area.low[chosen], area.high[chosen]
@@ -143,7 +144,7 @@ def _area(area: Envelope) -> dict[str, Any]:
     }
 
 
-def _shapes(panel: Panel) -> Iterator[dict[str, Any]]:
+def _shapes(panel: Panel) -> Iterator[Look]:
     """Windows and moments, as high as the panel."""
     for shade in panel.shades:
         fill = {"fillcolor": shade_colour(shade.rank), "line": {"width": 0}, "layer": "below"}
@@ -153,7 +154,7 @@ def _shapes(panel: Panel) -> Iterator[dict[str, Any]]:
         yield {"type": "line", "name": mark.label, "x0": mark.time, "x1": mark.time, "line": dots}
 
 
-def line_look(role: str, rank: int) -> dict[str, Any]:
+def line_look(role: str, rank: int) -> Look:
     """Return the attributes of Plotly for the look of a line; see `quadftc_report.style.line_style`."""
     style = line_style(role, rank)
     width = LINE_WIDTH * style.width

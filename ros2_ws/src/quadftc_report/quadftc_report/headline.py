@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from quadftc_flight.diagnosis_metrics.columns import Metrics
 from quadftc_flight.loss import loss_story
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
@@ -43,7 +44,7 @@ class Headline(NamedTuple):
         return dataclasses.replace(chosen[0], key=KEY) if chosen else None
 
 
-def headline(comparison: Comparison[Any]) -> Headline:
+def headline(comparison: Comparison[Recorded]) -> Headline:
     """Judge the recordings of one scenario or of one IMU."""
     observing = [run for run in comparison.runs if has_observer(run)]
     best = min(
@@ -84,7 +85,7 @@ def _error(run: Recorded) -> float:
 
 def _found(run: Recorded) -> str:
     """What became of the faults: ``names all 4 faults, 12 ms at the median``."""
-    parts: list[dict[str, Any]] = [metric(run, name) or {} for name in ("sensors", "rotors", "diagnosis")]
+    parts: list[Metrics] = [metric(run, name) or {} for name in ("sensors", "rotors", "diagnosis")]
     sensors, rotors, diagnosis = parts
     said: list[str] = []
     if any(event["named_share"] for event in sensors.get("events", ())):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import yaml
 
-from quadftc_flight.metrics import entries
+from quadftc_flight.diagnosis_metrics.columns import Metrics
+from quadftc_flight.metrics import Json, entries
 from quadftc_model.samples import AXES
 from quadftc_report import DATA
 from quadftc_report.wording import period, plain
@@ -63,7 +64,7 @@ class Leaf(NamedTuple):
     kind: Kind
 
 
-def list_metrics(metrics: Any, prefix: str = "", title: str = "") -> Iterator[Leaf]:
+def list_metrics(metrics: Json, prefix: str = "", title: str = "") -> Iterator[Leaf]:
     """Yield every number of a summary; ``title``: of the fault window or fault whose numbers these are."""
     for name, value in entries(metrics):
         if name in _NOT_METRICS:
@@ -76,11 +77,11 @@ def list_metrics(metrics: Any, prefix: str = "", title: str = "") -> Iterator[Le
             yield Leaf(path, name in AXES, title or section, kind)
 
 
-def _title(value: Any, prefix: str, name: str) -> str:
+def _title(value: Json, prefix: str, name: str) -> str:
     """The section of one fault window or one fault; empty: it is neither."""
     if prefix not in ("fault_windows.", "diagnosis.events.", "sensors.events.", "rotors.events."):
         return ""
-    entry = cast("dict[str, Any]", value)
+    entry = cast("Metrics", value)
     when = period(entry["start"], entry["stop"])
     if prefix == "fault_windows.":
         return f"Fault window {int(name) + 1}, from {when}"

@@ -16,6 +16,7 @@ import numpy as np
 from plotly.offline import get_plotlyjs
 
 from quadftc_flight.diagnosis_metrics import pool
+from quadftc_flight.diagnosis_metrics.columns import Metrics
 from quadftc_flight.diagnosis_metrics.fault_statistics import HEADINGS, show_row
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario
@@ -76,7 +77,7 @@ class Section:
         return "real" if name in (*PAPER_SCENARIOS, *ON_REAL_SENSORS) else "own"
 
     @property
-    def checks(self) -> dict[str, Any]:
+    def checks(self) -> dict[str, list[Metrics]]:
         """What became of the checks of each run or replay that has any."""
         found = ((self.comparison.label(run), run.summary.get("checks")) for run in self.comparison.runs)
         return {label: checks for label, checks in found if checks}
@@ -159,7 +160,7 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def render_template(template: str, **values: Any) -> str:
+def render_template(template: str, **values: object) -> str:
     """Render a template: everything is escaped, and a missing value is an error."""
     return _environment().get_template(template).render(values)
 
@@ -187,13 +188,13 @@ def pool_replays(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[list
     return [runs for runs in groups.values() if len(runs) > 1]
 
 
-def _confusions(comparison: Comparison[Any], of: str, columns: Sequence[str]) -> list[Confusion]:
+def _confusions(comparison: Comparison[Recorded], of: str, columns: Sequence[str]) -> list[Confusion]:
     """Which of the ``sensors`` or ``rotors`` each run names."""
     times = ((comparison.label(run), metric(run, f"{of}.confusion_s") or {}) for run in comparison.runs)
     return confusions(times, columns)
 
 
-def _setup(comparison: Comparison[Any]) -> dict[str, Facts]:
+def _setup(comparison: Comparison[Recorded]) -> dict[str, Facts]:
     """Parameters and origin of the runs side by side, by heading."""
     runs = comparison.runs
     return {
@@ -202,7 +203,7 @@ def _setup(comparison: Comparison[Any]) -> dict[str, Facts]:
     }
 
 
-def _side_by_side(facts: Sequence[Mapping[str, Mapping[str, Any]]]) -> Facts:
+def _side_by_side(facts: Sequence[Mapping[str, Mapping[str, object]]]) -> Facts:
     found: Facts = {}
     for index, each in enumerate(facts):
         for title, part in each.items():
@@ -212,14 +213,14 @@ def _side_by_side(facts: Sequence[Mapping[str, Mapping[str, Any]]]) -> Facts:
     return found
 
 
-def _fact_text(value: Any) -> str:
+def _fact_text(value: object) -> str:
     items = value if isinstance(value, list) else [value]
     if all(isinstance(item, str) for item in items):
-        return "\n".join(items) or NOTHING
+        return "\n".join(map(str, items)) or NOTHING
     return NOTHING if value is None else json.dumps(value, ensure_ascii=False, default=str)
 
 
-def _origin(run: Recorded) -> Mapping[str, Any]:
+def _origin(run: Recorded) -> Mapping[str, object]:
     """Where a recording comes from, how much of it is there, and what it was made with."""
     summary = run.summary
     common = {"rate [Hz]": plain(summary["rate"]), "of them withheld": summary["samples_withheld"]}

@@ -12,7 +12,7 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_flight.junit import write_file
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from quadftc_campaign.campaign_file import Campaign
+    from quadftc_flight.summary import Summary
     from quadftc_report.description import Figure
     from quadftc_report.page import Section
 
@@ -182,7 +183,7 @@ def _read_all(
 
 
 def write_campaign_report(
-    campaign: Campaign, frame: pl.DataFrame, summary: dict[str, Any], directory: Path, command_file: str
+    campaign: Campaign, frame: pl.DataFrame, summary: Summary, directory: Path, command_file: str
 ) -> Path:
     """Write ``DIRECTORY/report.html`` on the table and summary of a campaign; return its path.
 

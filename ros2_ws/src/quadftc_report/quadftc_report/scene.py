@@ -21,6 +21,7 @@ from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import Comparison, Run_co
 from quadftc_report.description import Envelope, Figure, Mark, Panel, Shade, Trace
 from quadftc_report.wording import plain
+from quadftc_sim.disturbance import Disturbance
 from quadftc_sim.rotor_fault import ROTOR
 
 Floats = NDArray[np.float64]
@@ -167,7 +168,7 @@ def disturbance_marks(run: Recorded, axis: int, end: float) -> tuple[Mark, ...]:
     return tuple(Mark(time, label) for time in sorted(times))
 
 
-def _acts(law: Any, axis: int, stop: float) -> bool:
+def _acts(law: Disturbance, axis: int, stop: float) -> bool:
     """Whether a disturbance gives a torque about an axis between its start and ``stop`` [s]."""
     times = law.start + np.arange(_INSTANTS) / _INSTANTS * (stop - law.start)
     return any(float(law.torque(time)[axis]) != 0.0 for time in times)

@@ -10,7 +10,7 @@ factor, ``x 25``. There is no change against a baseline of zero, or across zero.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.samples import AXES
@@ -105,7 +105,7 @@ def _cells(leaf: Leaf, axis: str | None, runs: Sequence[Recorded], baseline: int
     return cells
 
 
-def _text(leaf: Leaf, found: Any, full: str, run: Recorded) -> str:
+def _text(leaf: Leaf, found: float | None, full: str, run: Recorded) -> str:
     """A number for people; an estimate that was there all the time and did not settle says so."""
     if found is None:
         never = SETTLING in full and metric(run, full.replace(SETTLING, "fault_estimate_max_deg")) is not None
