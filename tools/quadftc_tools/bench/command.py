@@ -6,11 +6,12 @@ from __future__ import annotations
 import enum
 import itertools
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from quadftc_cli.commands import GOOD, INTERRUPTED
 from quadftc_cli.commands.run import CoreOption, GraphOption, PriorityOption
@@ -26,6 +27,11 @@ from quadftc_flight.scenario import (
 )
 from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
+
+if TYPE_CHECKING:
+    from quadftc_tools.bench.machine import Result
+
+    Draw = Callable[[Sequence[Result], Path], Path]  # writes a figure into a folder
 
 SCENARIO = "mems_faults"
 NO_DELAY = "sensors.delay=0"  # the modelled delay of the sensor is no latency of the graph
@@ -79,14 +85,14 @@ def latency(
     length = duration or (60.0 if thorough else 20.0)
     scheduling = Scheduling(wait, realtime_priority, tuple(core))
     forms = {each: part.LatencyOptions(graph, executor, record, each, scheduling) for each in _values(engine)}
-    results: list[dict[str, Any]] = []
+    results: list[Result] = []
     with StopSignals() as stop, _bars() as bars:
         for each, number, runs in itertools.product(rate, range(repeat), forms):
             scenario = _scenario(observer, length, each)
             bar = bars.add_task(f"{each:g} Hz, {runs}, {number + 1} of {repeat}", total=length * each)
             bars.refresh()  # not in flight: drawing would take milliseconds from it
 
-            def follow(samples: int, bar: Any = bar) -> bool:
+            def follow(samples: int, bar: TaskID = bar) -> bool:
                 bars.update(bar, completed=samples)
                 return not stop.requested
 
@@ -119,7 +125,7 @@ def lockstep(
     from quadftc_tools.bench.lockstep import forms, lockstep_table, measure_lockstep
 
     length, times = duration or (20.0 if thorough else 10.0), repeat or (5 if thorough else 3)
-    results: list[dict[str, Any]] = []
+    results: list[Result] = []
     with StopSignals() as stop, _bars() as bars:
         for each in rate:
             flown = _scenario(observer, length, each, scenario)
@@ -176,14 +182,14 @@ def _bars() -> Progress:
     return Progress(*columns, console=console(), auto_refresh=False)
 
 
-def _unless_stopped(result: dict[str, Any] | None) -> dict[str, Any]:
+def _unless_stopped(result: Result | None) -> Result:
     """Return a result; end the command if there is none, as the user has stopped it."""
     if result is None:
         raise typer.Exit(INTERRUPTED)
     return result
 
 
-def _finish(out: Path | None, kind: str, results: list[dict[str, Any]], draw: Any = None) -> None:
+def _finish(out: Path | None, kind: str, results: list[Result], draw: Draw | None = None) -> None:
     """Print what it ran on; write all of it, if asked; end with the exit code."""
     from quadftc_tools.bench.machine import machine
 

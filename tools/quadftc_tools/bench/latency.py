@@ -23,7 +23,7 @@ from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_ros.topics import GRAPHS, TOPICS
 from quadftc_ros.transport import load_trace
-from quadftc_tools.bench.machine import Usage
+from quadftc_tools.bench.machine import Result, Usage
 
 SETTLED = 1.0  # s; what comes before is not counted
 PERCENTILES = (50.0, 90.0, 99.0, 99.9)
@@ -70,7 +70,7 @@ class LatencyOptions:
 
 def measure_latency(
     scenario: Scenario, scheme: Scheme, options: LatencyOptions, progress: Callable[[int], bool]
-) -> dict[str, Any] | None:
+) -> Result | None:
     """Fly a scenario in real time and measure; None if ``progress``, called with the samples, ended it.
 
     GraphError if the graph does not start or stalls.
@@ -113,7 +113,7 @@ def measure_latency(
     return result
 
 
-def latencies(traces: Traces, rate: float) -> dict[str, Any]:
+def latencies(traces: Traces, rate: float) -> Result:
     """Statistics of the traces of a flight at a rate [Hz].
 
     Returns
@@ -208,7 +208,7 @@ def _between(begin: Times, end: Times, stamps: list[int]) -> NDArray[np.int64]:
     return np.array([end[stamp] - begin[stamp] for stamp in stamps if stamp in begin and stamp in end])
 
 
-def latency_table(results: Sequence[Mapping[str, Any]]) -> Table:
+def latency_table(results: Sequence[Result]) -> Table:
     """Stages of one rate; of several runs, the medians."""
     first, shown = results[0], (*(f"p{level:g}" for level in PERCENTILES), "max")
     what = f"{first['graph']}, {first['executor']}" if first["graph"] == "composed" else first["graph"]
@@ -220,7 +220,7 @@ def latency_table(results: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def counts_line(result: Mapping[str, Any]) -> str:
+def counts_line(result: Result) -> str:
     """Say how many samples and messages of one run were missed, late, lost and recorded."""
     words = f"{result['samples']} samples, {result['missed']} missed, {result['late']} late"
     words += f"; {sum(result['lost'].values())} messages lost"
@@ -230,7 +230,7 @@ def counts_line(result: Mapping[str, Any]) -> str:
     return f"{words}; {bag['stored']} recorded, {bag['dropped']} dropped, {bag['missing']} missing"
 
 
-def usage_line(results: Sequence[Mapping[str, Any]]) -> str:
+def usage_line(results: Sequence[Result]) -> str:
     """Processor time and memory by process; medians of the runs."""
     words: list[str] = []
     for name in results[0]["usage"]:
@@ -240,7 +240,7 @@ def usage_line(results: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(words)
 
 
-def latency_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:
+def latency_figure(results: Sequence[Result], out: Path) -> Path:
     """Draw the latency from stamp to torque, a histogram for each rate with all its runs; return its path."""
     from matplotlib.figure import Figure
 

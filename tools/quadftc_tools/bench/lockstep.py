@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median_high
-from typing import Any
 
 from rich.table import Table
 
@@ -18,6 +17,8 @@ from quadftc_flight.closed_loop import fly, loop_of
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
+from quadftc_model.assembly import NodeParameters
+from quadftc_tools.bench.machine import Result
 
 RECORDING, COMPOSED, SINGLE, ALONE = FORMS = (
     "composed, recording",
@@ -37,7 +38,7 @@ def forms(engines: Sequence[str] = ("c",)) -> list[tuple[str, str]]:
 
 def measure_lockstep(
     scenario: Scenario, scheme: Scheme, form: str, engine: str, progress: Callable[[int], bool]
-) -> dict[str, Any] | None:
+) -> Result | None:
     """Fly a scenario in one of `FORMS`; None if ``progress``, called with the samples so far, ended it.
 
     ``real_time_factor`` is of the whole, ``sample_us`` of one sample, as is ``processor_us``, the processor
@@ -74,7 +75,7 @@ def measure_lockstep(
 
 
 def _graph_times(
-    parameters: Mapping[str, Mapping[str, Any]], form: str, engine: str, follow: Callable[[int], bool]
+    parameters: Mapping[str, NodeParameters], form: str, engine: str, follow: Callable[[int], bool]
 ) -> tuple[float, float]:
     """Fly the graph in this process; wall and processor time [s]."""
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
@@ -86,7 +87,7 @@ def _graph_times(
             return graph.run(follow), time.process_time() - busy
 
 
-def lockstep_table(results: Sequence[Mapping[str, Any]]) -> Table:
+def lockstep_table(results: Sequence[Result]) -> Table:
     """One row for each rate, form and engine; medians of the runs.
 
     Forms are compared with the closed loop of the same engine.

@@ -14,10 +14,12 @@ import psutil
 
 from quadftc_ros.versions import versions
 
+Result = dict[str, Any]  # of a benchmark, as its JSON file holds it
+
 MEBIBYTE = 2**20
 
 
-def machine() -> dict[str, Any]:
+def machine() -> Result:
     """Describe processor, memory, system, versions, and how busy the machine is."""
     return {
         "processor": _processor(),

@@ -26,9 +26,10 @@ from quadftc_flight.closed_loop import loop_of
 from quadftc_flight.loop import ClosedLoop
 from quadftc_flight.loop_draws import LoopDraws
 from quadftc_flight.scenario import find_scenario, load_scenario, with_duration
-from quadftc_model.arrays import rows_of
+from quadftc_model.arrays import Array, Scalar, rows_of
 from quadftc_model.composition import RunnerCalls
-from quadftc_model.stepper import Engine
+from quadftc_model.stepper import Engine, Runner
+from quadftc_tools.bench.machine import Result
 from quadftc_tools.study.page import NOTHING
 
 RATE, DURATION = 250.0, 6.0  # Hz, s; by then observers have started
@@ -55,9 +56,9 @@ class Case:
 class Heard:
     """What a law got over the last samples of a flight."""
 
-    law: Any
-    state: Any  # before the first of them
-    inputs: list[Any]
+    law: object
+    state: object  # before the first of them
+    inputs: list[object]
     dt: list[float]
 
 
@@ -78,7 +79,7 @@ def cases() -> Iterator[Case]:
                 yield Case(role.replace("_", " "), name, place, parts.get(role, role), change)
 
 
-def step_costs(engine: str, batches: int, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
+def step_costs(engine: str, batches: int, only: Sequence[str] = ()) -> Iterator[Result]:
     """Measure laws, those named in ``only`` or all; one result for each.
 
     ``best_us``, ``median_us``: of batches of steps that are called from Python, inputs and outputs included.
@@ -114,11 +115,11 @@ def listen_to_flight(loop: ClosedLoop) -> dict[str, Heard]:
 class _ListeningCalls(RunnerCalls):
     """Calls laws, and notes what they get while it ``listens``."""
 
-    def __init__(self, laws: Mapping[str, Any], engine: Engine, heard: dict[str, Heard]) -> None:
+    def __init__(self, laws: Mapping[str, object], engine: Engine, heard: dict[str, Heard]) -> None:
         super().__init__(laws, engine)
         self.listens, self._heard = False, heard
 
-    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+    def step(self, name: str, state: object, inputs: object, dt: Scalar) -> tuple[object, Any]:
         """Step a law by ``dt`` [s]."""
         if self.listens:
             if name not in self._heard:
@@ -128,10 +129,10 @@ class _ListeningCalls(RunnerCalls):
         return super().step(name, state, inputs, dt)
 
 
-def _measure(heard: Heard, engine: str, batches: int) -> dict[str, Any]:
+def _measure(heard: Heard, engine: str, batches: int) -> Result:
     runner = engine_named(engine)(heard.law)
     costs = [_time_calls(runner, heard) for _ in range(batches)]
-    found: dict[str, Any] = {"best_us": round(min(costs), 2), "median_us": round(statistics.median(costs), 2)}
+    found: Result = {"best_us": round(min(costs), 2), "median_us": round(statistics.median(costs), 2)}
     (library,) = CEngine().prepare([heard.law]) if engine == "c" else (None,)
     if library is None:
         return found | {"engine": "numpy"} if engine == "c" else found
@@ -142,7 +143,7 @@ def _measure(heard: Heard, engine: str, batches: int) -> dict[str, Any]:
     return found | {name: facts[name] for name in ("trace_s", "compile_s", "bytes")}
 
 
-def _time_calls(runner: Any, heard: Heard) -> float:
+def _time_calls(runner: Runner[Any, Any], heard: Heard) -> float:
     """Mean time of a step [us]."""
     state, pairs = heard.state, list(zip(heard.inputs[:CALLED], heard.dt[:CALLED], strict=True))
     begin = time.process_time()
@@ -151,21 +152,21 @@ def _time_calls(runner: Any, heard: Heard) -> float:
     return MICROSECONDS * (time.process_time() - begin) / len(pairs)
 
 
-def _time_loop(runner: CRunner, state: Any, inputs: Any, dt: Any) -> float:
+def _time_loop(runner: CRunner, state: object, inputs: object, dt: Array) -> float:
     begin = time.process_time()
     runner.run(state, inputs, dt)
     return MICROSECONDS * (time.process_time() - begin) / len(dt)
 
 
-def step_rows(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+def step_rows(results: Sequence[Result]) -> list[list[str]]:
     """Return a row for each law: of one in both places the dearer, in free flight; by both engines."""
-    found: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
+    found: dict[tuple[str, str], dict[str, Result]] = {}
     for item in results:  # free flight comes last
         found.setdefault((item["kind"], item["law"]), {})[item["engine"]] = item
     return [_cells(f"{kind} `{law}`", **of) for (kind, law), of in found.items()]
 
 
-def _cells(law: str, numpy: Mapping[str, Any] | None = None, c: Mapping[str, Any] | None = None) -> list[str]:
+def _cells(law: str, numpy: Result | None = None, c: Result | None = None) -> list[str]:
     cells = [law, f"{numpy['best_us']:.0f}" if numpy else NOTHING]
     if c is None:
         return [*cells, *(NOTHING,) * 3]

@@ -81,7 +81,7 @@ class Attack:
     make: Callable[[str, int], Any]  # of the frame of the topic and the present [ns]
 
 
-def _on(topic: str, rate: float, **values: Any) -> Attack:
+def _on(topic: str, rate: float, **values: object) -> Attack:
     return Attack(topic, rate, partial(_imu if topic in (RAW, CORRECTED) else _vector, **values))
 
 

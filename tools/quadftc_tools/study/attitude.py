@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from quadftc_fdi.attitude_estimator import AttitudeEstimator, EstimatorParameters
+from quadftc_model.arrays import Quaternion, Vector
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import ImuSample
 from quadftc_replay.imu_from_bag import recording_from_bag
@@ -35,7 +35,7 @@ def judge(recording: Recording, poses: bool) -> tuple[str, ...]:
     """Fly a recording; return its row of the table."""
     imu, stamp_ns = recording.imu, recording.stamp_ns
     estimator = AttitudeEstimator(EstimatorParameters())
-    said: list[tuple[int, Any, Any]] = []  # row, quaternion, variance
+    said: list[tuple[int, Quaternion, Vector]] = []  # row, quaternion, variance
     for k, stamp in enumerate(stamp_ns.tolist()):
         sample = ImuSample(*(part[k] for part in imu))
         estimate = estimator.step(stamp, sample)

@@ -128,7 +128,7 @@ class Recorder:
         document = load_scenario(SCENARIO).document
         gusts = {**document.data["disturbances"][0], "history": seed}
         push = {"kind": "constant", "amplitude": torque.tolist(), "start": start, "stop": start + PUSHED}
-        changes: dict[Keys, Any] = {("faults",): [], ("disturbances",): [gusts, push]}
+        changes: dict[Keys, object] = {("faults",): [], ("disturbances",): [gusts, push]}
         scenario = build_scenario(document.replaced(changes, "trial"))
         scenario = with_seed(with_duration(scenario, DURATION), seed)
         return scenario, loop_of(scenario, scenario.scheme("without_diagnosis"))

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ import quadftc_fdi
 from quadftc_cli.screen import say
 from quadftc_tools.study.ablation import changed_copy
 from quadftc_tools.study.bank_trial import KINDS, NOBODY, PAGE, Judged, judge_flight, seeds_of
-from quadftc_tools.study.page import NOTHING, Tables, markdown, run_study
+from quadftc_tools.study.page import NOTHING, Argument, Tables, markdown, run_study
 
 OBSERVER = "bank"
 PACKAGE = Path(quadftc_fdi.__file__).parent
@@ -165,7 +165,7 @@ def make(options: argparse.Namespace) -> Tables:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table into the page, or print it."""
-    known: dict[str, dict[str, Any]] = {
+    known: dict[str, Argument] = {
         "--flights": {"type": int, "default": 20, "help": "of each kind of fault"},
         "--number": {"action": "append", "default": [], "help": "one alone, by its name"},
     }

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.arrays import AnyArray
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.rotors import torque_from_commands
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
@@ -74,7 +75,7 @@ def read_without_torque(path: Path) -> Recorded:
     return Recorded(time, rate, None, np.zeros_like(rate), flying)
 
 
-def _read_event(path: Path) -> tuple[Floats, Floats, Mapping[str, NDArray[Any]]]:
+def _read_event(path: Path) -> tuple[Floats, Floats, Mapping[str, AnyArray]]:
     """Return time [s], body rate and variables of the event that has most rows of a body rate."""
     events = read_usdlog(path).events.values()
     fit = [event for event in events if _take(event.columns, FIRST["gyros"]) is not None]
@@ -90,7 +91,7 @@ def _read_event(path: Path) -> tuple[Floats, Floats, Mapping[str, NDArray[Any]]]
     return (stamp_ns[good] - stamp_ns[0]) / NANOSECONDS_PER_SECOND, rate, columns
 
 
-def _take(columns: Mapping[str, NDArray[Any]], sources: Sequence[Source]) -> Floats | None:
+def _take(columns: Mapping[str, AnyArray], sources: Sequence[Source]) -> Floats | None:
     """Return the first of some sources that was logged, scaled to SI."""
     found = next((source for source in sources if all(name in columns for name in source.names)), None)
     return None if found is None else stack(columns, found.names) * found.scale

@@ -21,7 +21,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -239,9 +239,9 @@ def reliability_table(judged: Iterable[Judged]) -> str:
     return markdown(("probability", "findings", "true", "per cent [95 %]"), rows)
 
 
-def stored(healthy: Sequence[Judged], faulty: Sequence[Judged]) -> dict[str, Any]:
+def stored(healthy: Sequence[Judged], faulty: Sequence[Judged]) -> dict[str, object]:
     """What `quadftc_replay.calibration` reads, and flights that tests fly again: nearest to 0.9."""
-    autopilots = dict[str, Any]()
+    autopilots = dict[str, object]()
     for name, format_name in AUTOPILOTS.items():
         flown = [each for each in healthy if each.autopilot == name]
         scores = sorted((round(each.score, 4) for each in flown if each.score), reverse=True)

@@ -11,7 +11,6 @@ import argparse
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from quadftc_bags.bag import BagError
 from quadftc_cli.commands import BAD_INPUT
@@ -33,7 +32,7 @@ def find_logs(data: Path) -> Iterator[Path]:
                 yield path
 
 
-def judge_log(path: Path) -> dict[str, Any]:
+def judge_log(path: Path) -> dict[str, object]:
     """Exit code, headline and first findings: component, element, kind, onset [s], probability."""
     try:
         verdict = diagnose_log(path, DiagnosisOptions()).verdict

@@ -6,9 +6,9 @@ docs/judging.md says why each is in its set.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from quadftc_flight.loop_draws import LoopDraws
 from quadftc_flight.metrics import LOST
 from quadftc_flight.reported import joined
 from quadftc_flight.scenario import Scenario
-from quadftc_model.arrays import rows_of
+from quadftc_model.arrays import Array, rows_of
 from quadftc_model.numbers import structure_of
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FaultEstimate, FaultObserverInputs, ImuSample
@@ -174,7 +174,7 @@ class _Loops:
     """Closed loops in C; flights of one structure share one."""
 
     def __init__(self) -> None:
-        self._kept: dict[Any, Flown] = {}
+        self._kept: dict[Hashable, Flown] = {}
 
     def judge(self, campaign: Campaign, number: int, observer: str) -> Verdict:
         """Fly a flight of a campaign, the observer at its defaults in the first scheme."""
@@ -190,7 +190,7 @@ class _Loops:
             self._kept[key].configure(loop)
         else:
             self._kept[key] = flown_by(engine_named("c"), loop, LoopDraws.example(loop))
-        angles, parts = np.empty((count, 3)), list[Any]()
+        angles, parts = np.empty((count, 3)), list[tuple[Array, ...]]()
         for begin in range(0, count, BLOCK):
             rows = min(BLOCK, count - begin)
             output = self._kept[key].run(draws.next(rows), rows)

@@ -23,8 +23,9 @@ _BLOCK = re.compile(
     r"(?P<head><!-- table: (?P<name>[\w-]+) -->\n)(?P<body>.*?)(?P<foot><!-- end -->)", re.DOTALL
 )
 
+Argument = dict[str, Any]  # how a parser adds it
 Tables = Mapping[str, str]  # by the name of the place
-RESULTS: dict[str, Any] = {"type": Path, "required": True, "help": "directory of the campaigns"}
+RESULTS: Argument = {"type": Path, "required": True, "help": "directory of the campaigns"}
 
 
 def read_campaigns(results: Path, names: Sequence[str]) -> dict[str, pl.DataFrame]:
@@ -39,7 +40,7 @@ def read_campaigns(results: Path, names: Sequence[str]) -> dict[str, pl.DataFram
 def run_study(
     page: str,
     make: Callable[[argparse.Namespace], Tables],
-    arguments: Mapping[str, Mapping[str, Any]],
+    arguments: Mapping[str, Argument],
     given: Sequence[str] | None = None,
 ) -> int:
     """Make the tables of a study from its arguments; put them into its page, or print them.

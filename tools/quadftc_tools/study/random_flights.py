@@ -10,7 +10,7 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def draw_flight(rng: np.random.Generator, seconds: float, folder: Path, loss: Lo
     vehicle = draw_vehicle(rng, load_vehicle(base), layout)
     path = folder / "vehicle.toml"
     path.write_text(vehicle_text(vehicle), encoding="utf-8")
-    data: dict[str, Any] = {
+    data: dict[str, object] = {
         "name": "random",
         "description": "a random flight",
         "duration": seconds,
@@ -101,7 +101,7 @@ def vehicle_text(vehicle: Vehicle) -> str:
     """Return the file of a vehicle."""
     lines: list[str] = []
     for section, keys in KEYS.items():
-        holder: Any = getattr(vehicle, section) if section else vehicle
+        holder: object = getattr(vehicle, section) if section else vehicle
         lines += [f"[{section}]"] if section else []
         for key in keys:
             value = getattr(holder, key)
@@ -109,7 +109,7 @@ def vehicle_text(vehicle: Vehicle) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw_trajectory(rng: np.random.Generator, seconds: float) -> dict[str, Any]:
+def draw_trajectory(rng: np.random.Generator, seconds: float) -> dict[str, object]:
     """Draw a manoeuvre that lasts the whole flight."""
     kind, yaw = str(rng.choice(("hover", "circle", "figure_eight", "waypoints"))), rng.uniform(-0.3, 0.3)
     centre, push = [0.0, 0.0, HEIGHT], rng.uniform(0.5, 5.0)  # m/s²; more is for no autopilot by default
@@ -129,12 +129,12 @@ def draw_trajectory(rng: np.random.Generator, seconds: float) -> dict[str, Any]:
     return {"kind": kind, "points": points, "speed": rng.uniform(0.5, 5.0), "acceleration": push, "yaw": yaw}
 
 
-def draw_wind(rng: np.random.Generator, seconds: float) -> Sequence[dict[str, Any]]:
+def draw_wind(rng: np.random.Generator, seconds: float) -> Sequence[dict[str, object]]:
     """Draw a mean wind, turbulence, and now and then a gust."""
     speed, towards = rng.uniform(0.0, 8.0), rng.uniform(0.0, 2.0 * np.pi)
     along = np.array([np.cos(towards), np.sin(towards), 0.0])
     dryden = {"kind": "dryden", "wind_speed": speed, "airspeed": 1.0 + speed, "height": HEIGHT}
-    winds: list[dict[str, Any]] = [
+    winds: list[dict[str, object]] = [
         {"kind": "constant", "velocity_mean": (0.7 * speed * along).tolist()},
         {**dryden, "history": rng.random()},
     ]
