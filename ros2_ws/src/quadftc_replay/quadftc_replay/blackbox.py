@@ -20,12 +20,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.arrays import AnyArray
 from quadftc_replay.blackbox_frames import (
     ENCODINGS,
     NONE,
@@ -60,7 +61,7 @@ class BlackboxLog(NamedTuple):
     """One of the logs in a file."""
 
     header: Mapping[str, str]
-    columns: Mapping[str, NDArray[Any]]  # of the main frames, by field (n,); ``time`` [µs] without its wraps
+    columns: Mapping[str, AnyArray]  # of the main frames, by field (n,); ``time`` [µs] without its wraps
     notes: tuple[str, ...]  # one line each
 
 
@@ -178,7 +179,7 @@ class _Decoder:
             self.constants[predictor] = max(whole_number(header.get(name, "").split(",")[0]), 0)
         self.skipped = self.dropped = 0
 
-    def run(self, at: int, stop: int) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
+    def run(self, at: int, stop: int) -> tuple[dict[str, AnyArray], tuple[str, ...]]:
         """Decode the frames between two places; BagError if there are none."""
         blocks, is_ended = Blocks(), False
         blocks.add(np.empty((0, len(self.names)), np.int32))
@@ -292,7 +293,7 @@ class _Decoder:
             predicted[:, average] = (total + (total < 0)) >> 1  # towards zero
             self._add(values, rows, changes, predicted)
 
-    def _add(self, values: Ints, rows: Ints, predictors: NDArray[Any], predicted: Ints) -> None:
+    def _add(self, values: Ints, rows: Ints, predictors: AnyArray, predicted: Ints) -> None:
         for predictor, constant in self.constants.items():
             predicted[:, predictors == predictor] = constant
         values[rows] += predicted

@@ -19,13 +19,13 @@ import struct
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from quadftc_bags.bag import BagError
+from quadftc_model.arrays import AnyArray
 from quadftc_replay.thinning import Data, Forgetting, Places, mapped, rows_at
 
 HEAD = b"\xa3\x95"
@@ -41,7 +41,7 @@ MOST_LEFT = 256  # bytes; the longest message is shorter
 class DataflashLog(NamedTuple):
     """The messages that were asked for: name, such as ``IMU``, to field to (n,), in the unit of the log."""
 
-    messages: Mapping[str, Mapping[str, NDArray[Any]]]
+    messages: Mapping[str, Mapping[str, AnyArray]]
     parameters: Mapping[str, float]  # at the end of the log
     notes: tuple[str, ...]  # one line each
     lacks_chunk: bool = False  # the log ends within a message, with a chunk that a board wrote
@@ -71,7 +71,7 @@ def read_dataflash(
     return DataflashLog(messages, parameters_of(parameters), tuple(scan.notes()), scan.lacks_chunk)
 
 
-def parameters_of(table: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+def parameters_of(table: Mapping[str, AnyArray]) -> dict[str, float]:
     """Parameters by name; of those that come again the last counts."""
     if not {*PARAMETER_FIELDS} <= table.keys():
         return {}
@@ -172,13 +172,13 @@ class _Scan:
                 name = self.formats[kind].name
                 yield from places.thinning.notes(f"{name} {number}" if self._instance_at[kind] else name)
 
-    def gather(self, kind: int, fields: Collection[str]) -> dict[str, NDArray[Any]]:
+    def gather(self, kind: int, fields: Collection[str]) -> dict[str, AnyArray]:
         """Copy fields of a type of message out of the file, block by block; numbers with their factors."""
         row, factors = self.formats[kind].row, self.formats[kind].factors
         each_at = [np.frombuffer(places.at, np.uint64) for places in self.places[kind].values()]
         places = np.sort(np.concatenate(each_at)).astype(np.int64) + BEGIN
         there = [field for field in fields if field in (row.names or ())]
-        columns: dict[str, NDArray[Any]] = {
+        columns: dict[str, AnyArray] = {
             field: np.empty(len(places), row[field] if factors.get(field, 1.0) == 1.0 else np.float64)
             for field in there
         }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from quadftc_compile.wiring import BLOCK, flown_by
 from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_flight.flight import NO_STATE, Flight, onset_ns, unknown_flight
 from quadftc_flight.reported import ReportLog, joined, note_reports
-from quadftc_model.arrays import chosen, rows_of
+from quadftc_model.arrays import AnyArray, chosen, rows_of
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import DiagnosisReport, FaultEstimate, ImuSample
 from quadftc_replay.imu_recording import Floats, Recording
@@ -56,7 +55,7 @@ def diagnose(
     loop, count = open_loop_of(recording, law, injections), len(recording)
     draws = OpenDraws(recording, loop.injections, seed)
     flown = flown_by(engine_named(engine), loop, draws.example())
-    reports, parts, unusable = ReportLog(law), list[tuple[Any, ...]](), 0
+    reports, parts, unusable = ReportLog(law), list[tuple[AnyArray, ...]](), 0
     for begin in range(0, count, BLOCK):
         stop = min(begin + BLOCK, count)
         output = flown.run(draws.rows(begin, stop), stop - begin)

@@ -197,7 +197,7 @@ def _shift(items: tuple[_Timed, ...], late: float) -> tuple[_Timed, ...]:
     )
 
 
-def _observer_parameters(bag: Bag, namespace: str) -> dict[str, Any] | None:
+def _observer_parameters(bag: Bag, namespace: str) -> dict[str, object] | None:
     """Parameters of the node that diagnosed these samples; empty: not stored; None: stored, but no sense."""
     text = attached_text(bag, PARAMETERS)
     if text is None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,7 @@ class Recording:
     fault_windows: tuple[FaultWindow, ...] = ()  # when the attitude is faulty by what was recorded
     fault_events: tuple[FaultEvent, ...] = ()  # the same axis by axis, with the kind of fault
     # parameters of the node that diagnosed these samples first; empty: not known; None: they make no sense
-    observer: Mapping[str, Any] | None = field(default_factory=dict[str, Any])
+    observer: Mapping[str, object] | None = field(default_factory=dict[str, object])
     # topic, relative to the namespace, to what goes into the new bag as it is
     passed_on: Mapping[str, SerializedTopic] = field(default_factory=dict[str, SerializedTopic])
     rejected: Mapping[str, int] = field(default_factory=dict[str, int])  # reason to samples left out

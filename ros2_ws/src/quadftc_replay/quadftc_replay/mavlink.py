@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from quadftc_model.arrays import AnyArray
 from quadftc_replay.readers.contents import LATEST, STAMP, message_length
 from quadftc_replay.thinning import Data, Forgetting, Places, mapped
 
@@ -37,7 +38,7 @@ SHORTEST = STAMP_SIZE + HEADERS[OLD] + CHECK_SUM
 class TelemetryLog(NamedTuple):
     """The messages of one kind, as fields (n, ...), by system and name."""
 
-    messages: Mapping[int, Mapping[str, Mapping[str, NDArray[Any]]]]
+    messages: Mapping[int, Mapping[str, Mapping[str, AnyArray]]]
     notes: tuple[str, ...]  # one line each
 
 
@@ -53,7 +54,7 @@ def read_telemetry(path: Path, names: Collection[str]) -> TelemetryLog:
         most: dict[tuple[int, int], int] = {}  # system, message -> component
         for system, component, number in sorted(scan.places, key=lambda key: -scan.count(key)):
             most.setdefault((system, number), component)
-        messages: dict[int, dict[str, dict[str, NDArray[Any]]]] = {}
+        messages: dict[int, dict[str, dict[str, AnyArray]]] = {}
         for (system, number), component in most.items():
             table = scan.gather((system, component, number))
             if len(table[RECEIVED]):
@@ -75,7 +76,7 @@ def check_sums(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
 def _row_type(kind: Any) -> np.dtype:
     """Fields of a message in the order in which they are sent."""
     codes = kind.native_format.decode().lstrip("<")
-    fields: list[tuple[Any, ...]] = []
+    fields: list[tuple[object, ...]] = []
     for name, code, count in zip(kind.ordered_fieldnames, codes, kind.array_lengths, strict=True):
         if code == "c":
             fields.append((name, f"S{max(count, 1)}"))
@@ -151,7 +152,7 @@ class _Scan:
         for (system, _, number), places in self.places.items():
             yield from places.thinning.notes(f"{dialect.mavlink_map[number].msgname} of system {system}")
 
-    def gather(self, key: tuple[int, int, int]) -> dict[str, NDArray[Any]]:
+    def gather(self, key: tuple[int, int, int]) -> dict[str, AnyArray]:
         """Decode the messages of a kind, those with the right check sum, and when they were received [µs]."""
         kind: Any = dialect.mavlink_map[key[2]]
         row = _row_type(kind)

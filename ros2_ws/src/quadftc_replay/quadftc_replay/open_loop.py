@@ -42,9 +42,9 @@ class OpenInputs(NamedTuple):
 class OpenState(NamedTuple):
     """States of the laws, and what was said of the last sample that was not withheld."""
 
-    injections: tuple[Any, ...]
-    clock: Any
-    observer: Any
+    injections: tuple[object, ...]
+    clock: object
+    observer: object
     estimate: GuardedOutput[FaultEstimate]
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 
@@ -53,7 +53,7 @@ class ChosenObserver(NamedTuple):
 
     name: str
     law: FaultObserver
-    parameters: dict[str, Any]
+    parameters: dict[str, object]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,7 +97,7 @@ class Replay:
         injections = tuple(fault.injection for fault in self.faults)
         return diagnose(self.recording, self.observer.law, injections, self.seed, self.engine, progress)
 
-    def summary(self, diagnosed: Diagnosed) -> dict[str, Any]:
+    def summary(self, diagnosed: Diagnosed) -> dict[str, object]:
         """Summarise what came out, ready for ``summary.json``; the caller adds versions and times."""
         flight, imu = flight_of(self.recording, diagnosed), self.recording.imu
         result = replay_summary(self.origin, self.observer.parameters, flight)
@@ -174,8 +174,8 @@ def choose_observer(
     """
     if recording.observer is None and not name:
         raise BagError(f"{recording.path}: parameters.yaml makes no sense; choose with --observer")
-    recorded: Mapping[str, Any] = recording.observer or {}
-    parameters: dict[str, Any] = {"vehicle": DEFAULT_VEHICLE, "observer": DEFAULT_OBSERVER}
+    recorded: Mapping[str, object] = recording.observer or {}
+    parameters: dict[str, object] = {"vehicle": DEFAULT_VEHICLE, "observer": DEFAULT_OBSERVER}
     parameters |= {key: recorded[key] for key in parameters if key in recorded}
     kind = name or get(parameters, "observer", str)
     parameters["observer"] = kind

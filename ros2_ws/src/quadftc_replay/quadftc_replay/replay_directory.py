@@ -54,7 +54,7 @@ class ReplayOrigin(BaseModel):
     fault_events: tuple[FaultEvent, ...]  # the same axis by axis, with the kind of fault
 
     @field_serializer("fault_windows", "fault_events")
-    def _as_mappings(self, items: tuple[FaultWindow | FaultEvent, ...]) -> list[dict[str, Any]]:
+    def _as_mappings(self, items: tuple[FaultWindow | FaultEvent, ...]) -> list[dict[str, object]]:
         return [item._asdict() for item in items]
 
     def description(self) -> str:
@@ -135,7 +135,7 @@ def replay_from_bag(bag: Bag) -> RecordedReplay:
     return dataclasses.replace(replay, summary=summary, warnings=(*_shortcomings(replay), *wrong))
 
 
-def replay_summary(origin: ReplayOrigin, observer: Mapping[str, Any], flight: Flight) -> dict[str, Any]:
+def replay_summary(origin: ReplayOrigin, observer: Mapping[str, object], flight: Flight) -> dict[str, Any]:
     """Summarise a replay, ready for JSON; of one that was cut short, what is there.
 
     ``observer`` are the parameters of the node that runs it.

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterable
 from itertools import repeat
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -38,6 +38,8 @@ from quadftc_ros.topics import DIAGNOSIS, EARTH_FRAME, IMU_FRAME, TOPICS
 from quadftc_ros.versions import versions
 from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire
 from quadftc_sim.injection import TRUTH
+
+T = TypeVar("T")
 
 CHUNK = 1024 * 1024  # bytes
 DIAGNOSING = 0.85  # share of the work; the rest is writing
@@ -150,7 +152,7 @@ def _dropped(stamp_ns: int, frame: str) -> bytes:
 
 
 def _serialise(
-    type_name: str, stamp_ns: Stamps, write: Callable[[int, Any], bytes], values: Iterable[Any]
+    type_name: str, stamp_ns: Stamps, write: Callable[[int, T], bytes], values: Iterable[T]
 ) -> SerializedTopic:
     messages = [write(stamp, value) for stamp, value in zip(stamp_ns.tolist(), values, strict=True)]
     return SerializedTopic(type_name, stamp_ns, messages)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.arrays import AnyArray
 
 MOST = 2**20  # samples of a signal: 17 min at 1 kHz; half of them are left at least
 WINDOW = 1 << 26  # bytes of a mapped file that may be in memory
@@ -101,9 +102,7 @@ def mapped(path: Path) -> Generator[Data, None, None]:
         raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
 
 
-def rows_at(
-    data: Data, places: NDArray[np.int64], row: np.dtype[Any]
-) -> Iterator[tuple[slice, NDArray[Any]]]:
+def rows_at(data: Data, places: NDArray[np.int64], row: np.dtype) -> Iterator[tuple[slice, AnyArray]]:
     """Copy rows of a type from some places out of a file, block by block: which they are, and the rows."""
     view, forgetting, span = np.frombuffer(data, np.uint8), Forgetting(data), np.arange(row.itemsize)
     step = max(GATHERED // row.itemsize, 1)
@@ -131,9 +130,9 @@ class Blocks:
 
     def __init__(self) -> None:
         self.thinning = Thinning()
-        self._blocks: list[NDArray[Any]] = []
+        self._blocks: list[AnyArray] = []
 
-    def add(self, rows: NDArray[Any]) -> None:
+    def add(self, rows: AnyArray) -> None:
         """Take rows (n, ...)."""
         thinning = self.thinning
         kept = rows[-thinning.count % thinning.stride :: thinning.stride]
@@ -143,6 +142,6 @@ class Blocks:
         while thinning.is_full():
             self._blocks = [np.concatenate(self._blocks)[::2].copy()]
 
-    def rows(self) -> NDArray[Any]:
+    def rows(self) -> AnyArray:
         """All rows that are kept; at least one block has to be there."""
         return np.concatenate(self._blocks)

@@ -18,12 +18,13 @@ import struct
 import zlib
 from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.arrays import AnyArray
 from quadftc_replay.thinning import Data, Forgetting, Places, mapped, rows_at
 
 MAGIC = 0xBC
@@ -40,7 +41,7 @@ class EventRows(NamedTuple):
     """What was logged at one kind of event, such as ``fixedFrequency``."""
 
     stamp_ns: NDArray[np.int64]  # (n,) in the order of the file
-    columns: Mapping[str, NDArray[Any]]  # variable, such as ``gyro.x``, to (n,), in type and unit of the log
+    columns: Mapping[str, AnyArray]  # variable, such as ``gyro.x``, to (n,), in type and unit of the log
 
 
 class UsdLog(NamedTuple):

@@ -39,7 +39,7 @@ def component_name(kind: str, name: str) -> str:
 
 def make_finding(component: str, element: str, kind: str, onset: float, **others: Any) -> Finding:
     """Make a finding; what is not given is not known."""
-    usual: dict[str, Any] = {
+    usual: dict[str, object] = {
         "end_s": None,
         "size": None,
         "sigma": None,

@@ -8,19 +8,18 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.records import Channel, Schema
-from numpy.typing import NDArray
 
 from quadftc_bags.bag import Bag, BagError, TopicInfo, file_records
 from quadftc_bags.storage import storage_files
+from quadftc_model.arrays import AnyArray
 from quadftc_replay.thinning import Thinning
 
 SQLITE = b"SQLite format 3\0"
 BLOCK = 16384  # messages decoded at a time
-Columns = Mapping[str, NDArray[Any]]
+Columns = Mapping[str, AnyArray]
 Choose = Callable[[Columns], Columns]  # of the fields of a message type, what is kept
 
 
@@ -29,7 +28,7 @@ class ColumnTopic(TopicInfo):
     """A topic that keeps columns, and only the messages of the present block."""
 
     choose: Choose = dict
-    blocks: list[dict[str, NDArray[Any]]] = field(default_factory=list[dict[str, NDArray[Any]]])
+    blocks: list[dict[str, AnyArray]] = field(default_factory=list[dict[str, AnyArray]])
     damaged: int = 0  # messages that could not be decoded
     thinning: Thinning = field(default_factory=Thinning)
 
@@ -53,14 +52,14 @@ class ColumnTopic(TopicInfo):
         self.messages.clear()
         del self.log_times[:], self.publish_times[:]
 
-    def _decode_block(self) -> dict[str, NDArray[Any]]:
+    def _decode_block(self) -> dict[str, AnyArray]:
         with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
             fields = self.decode()
         log_ns = np.array(self.log_times, np.int64)
         stamp_ns = fields.get("stamp_ns", log_ns)
         return {"stamp_ns": stamp_ns, "log_ns": log_ns, **self.choose(fields)}
 
-    def columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, AnyArray]:
         """All that was decoded, in the order of recording; empty: nothing."""
         self.settle()
         names = list(self.blocks[0]) if self.blocks else []

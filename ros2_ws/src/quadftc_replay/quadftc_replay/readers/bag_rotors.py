@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_model.arrays import AnyArray
 from quadftc_model.vehicle import Vehicle
 from quadftc_replay.readers.bag_columns import Choose, Columns, is_named, trailing_number
 from quadftc_replay.readers.signals import Signals
@@ -36,7 +35,7 @@ RPM = np.pi / 30.0  # rad/s
 def _first_filled(fields: Columns, names: tuple[str, ...]) -> Columns:
     """Keep the first of some fields that has one value for each rotor."""
     for name in names:
-        value: NDArray[Any] = fields.get(name, np.zeros(0))
+        value: AnyArray = fields.get(name, np.zeros(0))
         if value.ndim == 2 and FEWEST <= value.shape[1] <= MOST:
             is_speed = np.full(len(value), name in ("velocity", "angular_velocities", "data"))
             return {"value": value.astype(np.float64), "is_speed": is_speed}
@@ -86,7 +85,7 @@ def add_rotors(
 ) -> None:
     """Add measured speeds and commands of the rotors; ``kinds`` and ``data`` are those of the topics."""
     if name := _best(kinds, data, SPEEDS):
-        speeds: NDArray[Any] = np.abs(data[name]["value"]) * (RPM if "rpm" in name.lower() else 1.0)
+        speeds: AnyArray = np.abs(data[name]["value"]) * (RPM if "rpm" in name.lower() else 1.0)
         signals.add("rotor_speeds", data[name]["stamp_ns"], speeds, name)
     if not (name := _best(kinds, data, COMMANDS)):
         return

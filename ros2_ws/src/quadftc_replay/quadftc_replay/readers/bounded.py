@@ -18,7 +18,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from quadftc_bags.bag import BagError
 from quadftc_replay.flight_log import FlightLog
@@ -44,7 +44,7 @@ def read_bounded(path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
         return source.finish(call_bounded(reader, read_unpacked, source.file, source.choice), path)
 
 
-def call_bounded(reader: Reader, read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
+def call_bounded(reader: Reader, read: Callable[..., Read], path: Path, *arguments: object) -> Read:
     """Call ``read(path, *arguments)``, a function of a module, in a process with the limits of a reader."""
     with tempfile.TemporaryDirectory(prefix="quadftc-") as folder:
         result = Path(folder, "result")

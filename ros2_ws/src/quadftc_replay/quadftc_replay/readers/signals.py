@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.arrays import AnyArray
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import Event, FlightLog, Floats, Signal, Watched
 from quadftc_replay.readers.layouts import Layout
@@ -172,7 +173,7 @@ def measured(rows: Floats) -> tuple[Floats, int]:
     return (np.where(damaged, np.nan, rows) if count else rows), count
 
 
-def _take(values: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+def _take(values: AnyArray, rows: NDArray[np.intp]) -> AnyArray:
     """Rows of an array; the array itself if they are all of it."""
     return values if len(rows) == len(values) else values[rows]
 
@@ -217,14 +218,14 @@ def _longest_increasing(stamp_ns: Stamps) -> NDArray[np.intp]:
     return chosen
 
 
-def columns(data: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Floats:
+def columns(data: Mapping[str, AnyArray], names: Iterable[str]) -> Floats:
     """Stack columns of a table (n, k)."""
     arrays = [data[name] for name in names]
     with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
         return np.stack(arrays, axis=-1, dtype=np.float64, casting="unsafe")
 
 
-def sound(parameters: Mapping[str, Any]) -> dict[str, float]:
+def sound(parameters: Mapping[str, object]) -> dict[str, float]:
     """Keep the parameters that are numbers of a sensible size; others are damaged."""
     return {
         name: float(value)

@@ -30,12 +30,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.arrays import AnyArray
 from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import STANDARD_GRAVITY
@@ -47,7 +47,7 @@ from quadftc_replay.readers.positioning import Fixes, add_receiver, pressure_hei
 from quadftc_replay.readers.signals import Signals, Stamps, columns, sound
 
 FORMAT = "MAVLink tlog"
-Table = Mapping[str, NDArray[Any]]
+Table = Mapping[str, AnyArray]
 
 MILLI = 1e-3
 # message -> (gyro [rad/s], accelerometer [m/s²]) of one; its name among several

@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_model.arrays import AnyArray
 from quadftc_replay.flight_log import Floats
 from quadftc_replay.readers.signals import Stamps, columns
 
-Dataset = Mapping[str, NDArray[Any]]  # field, elements as name[k] -> (n,)
+Dataset = Mapping[str, AnyArray]  # field, elements as name[k] -> (n,)
 
 
 def stamps_of(data: Dataset) -> Stamps:

@@ -13,15 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pymavlink.DFReader import FORMAT_TO_STRUCT  # type: ignore[import-untyped]
 
+from quadftc_model.arrays import AnyArray
 from quadftc_replay.dataflash import BEGIN, FORMAT, FORMAT_TYPE, HEAD, numpy_type
 
-TYPES = cast("dict[str, tuple[str, float | None, Any]]", FORMAT_TO_STRUCT)  # letter: code, factor, class
+TYPES = cast("dict[str, tuple[str, float | None, object]]", FORMAT_TO_STRUCT)  # letter: code, factor, class
 FORMAT_LETTERS, FORMAT_FIELDS = "BBnNZ", "Type,Length,Name,Format,Columns"
 STAMP = "TimeUS"
 
@@ -70,7 +71,7 @@ def _length(letters: str) -> int:
     return BEGIN + sum(np.dtype(numpy_type(TYPES[letter][0])).itemsize for letter in letters)
 
 
-def _encode(values: NDArray[Any], factor: float | None, kind: np.dtype[Any]) -> NDArray[Any]:
+def _encode(values: AnyArray, factor: float | None, kind: np.dtype) -> AnyArray:
     if kind.kind == "S":
         return values
     scaled = values / factor if factor else values

@@ -14,7 +14,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,7 +72,7 @@ class UlogWriter:
             for stamp, row in zip(stamps, table, strict=True)
         ]
 
-    def define(self, name: str, fields: Sequence[str]) -> np.dtype[Any]:
+    def define(self, name: str, fields: Sequence[str]) -> np.dtype:
         """Define a type out of fields; return what holds one of it in NumPy."""
         self._define(name, fields)
         self._types[name] = np.dtype([self._column(each) for each in fields])
@@ -100,7 +99,7 @@ class UlogWriter:
         if self._formats.setdefault(name, form) != form:
             raise ValueError(f"{name}: expected the fields {self._formats[name][3:].decode()}")
 
-    def _column(self, field: str) -> tuple[str, np.dtype[Any], tuple[int, ...]]:
+    def _column(self, field: str) -> tuple[str, np.dtype, tuple[int, ...]]:
         """Column of NumPy for "type name" or "type[k] name"."""
         name, _, width = field.partition(" ")[0].partition("[")
         return field, self._types[name], (int(width.rstrip("]")),) if width else ()
