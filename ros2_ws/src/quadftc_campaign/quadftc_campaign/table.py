@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -83,7 +83,7 @@ def quantiles(frame: pl.DataFrame, names: Iterable[str]) -> Metrics:
     """Quantiles, mean and extremes of columns; null where no row has a value."""
     found: Metrics = {}
     for column in (frame[name].drop_nulls().drop_nans() for name in names):
-        values: dict[str, Any] = {}
+        values: Metrics = {}
         if len(column):
             values = {"mean": column.mean(), "min": column.min(), "max": column.max()}
             values |= {f"q{100 * q:g}": column.quantile(q, "linear") for q in QUANTILES}

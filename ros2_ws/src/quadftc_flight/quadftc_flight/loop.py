@@ -170,7 +170,7 @@ class ClosedLoop:
         return self.vehicle.plant.flies
 
     @property
-    def laws(self) -> Mapping[str, Any]:
+    def laws(self) -> Mapping[str, object]:
         """The laws by name."""
         found: dict[str, object] = {"vehicle": self.vehicle, "clock": self.clock}
         if self.flies:

@@ -85,7 +85,7 @@ class PX4Physics(AutopilotPhysics):
     def _read(self, data: bytes) -> tuple[int, list[float]]:
         """Return stamp [us] and controls of a packet; a ValueError says what is wrong with it."""
         try:
-            message: Any = self._mavlink.decode(bytearray(data))
+            message = self._mavlink.decode(bytearray(data))
             controls = message.controls
         except (dialect.MAVError, AttributeError) as error:
             raise ValueError(f"packet: {error}") from None

@@ -177,7 +177,7 @@ def _change_state(graph: LiveGraph, node: str, transition: str) -> None:
     say(f"{node}: {transition}")
 
 
-def _present_parameters(graph: LiveGraph, node: str) -> dict[str, tuple[Any, Any]]:
+def _present_parameters(graph: LiveGraph, node: str) -> dict[str, tuple[object, Any]]:
     """Return value and descriptor of each parameter of a node, by name."""
     from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
     from rclpy.parameter import parameter_value_to_python
