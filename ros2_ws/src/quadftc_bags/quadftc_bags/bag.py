@@ -15,14 +15,13 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
-from quadftc_bags.cdr.arrays import Arrays, decode_topic
+from quadftc_bags.cdr.arrays import Arrays, Column, decode_topic
 from quadftc_bags.ros1 import is_ros1, read_ros1
 from quadftc_bags.storage import (
     BagError,
@@ -48,12 +47,12 @@ class Series:
     stamp_ns: NDArray[np.int64]  # (n,) the stamp each message begins with [ns]; the log time if it has none
     log_time_ns: NDArray[np.int64]  # (n,) when it was recorded [ns]
     publish_time_ns: NDArray[np.int64]  # (n,) [ns]
-    fields: Mapping[str, NDArray[Any]]  # (n, ...) each, units as in the message
+    fields: Mapping[str, Column]  # (n, ...) each, units as in the message
 
     def __len__(self) -> int:
         return len(self.log_time_ns)
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
+    def __getitem__(self, name: str) -> Column:
         try:
             return self.fields[name]
         except KeyError:

@@ -211,7 +211,7 @@ def _custom_data(record: Mapping[str, str]) -> dict[str, str]:
     try:
         data: Any = YAML(typ="safe").load(record.get("serialized_metadata", ""))  # pyright: ignore
         custom: Any = data.get("custom_data") or {}
-        return {str(key): str(value) for key, value in cast("dict[Any, Any]", custom).items()}
+        return {str(key): str(value) for key, value in cast("dict[object, object]", custom).items()}
     except (YAMLError, AttributeError, TypeError, ValueError, RecursionError):
         return {}
 

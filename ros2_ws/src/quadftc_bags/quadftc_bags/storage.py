@@ -79,7 +79,7 @@ def storage_files(path: Path) -> list[Path]:
     mode = str(information.get("compression_mode") or "").lower()
     if mode not in ("", "none", "storage"):
         raise BagError(f"{path}: compressed by {mode}; unpack it with 'ros2 bag convert'")
-    names = cast("list[Any]", information.get("relative_file_paths") or [])
+    names = cast("list[object]", information.get("relative_file_paths") or [])
     files = [path / Path(str(name)).name for name in names] or sorted(path.glob("*.mcap"))
     if not files:
         raise BagError(f"{path}: no bag in this directory (neither metadata.yaml nor an .mcap file)")
@@ -223,7 +223,7 @@ def open_sqlite(path: Path) -> Generator[Reader, None, None]:
 
     try:
         with Reader(path) as reader:
-            names: list[Any] = list(reader.topics)  # as metadata.yaml has them
+            names: list[object] = list(reader.topics)  # as metadata.yaml has them
             if wrong := [name for name in names if not isinstance(name, str)]:
                 raise BagError(f"{path}: topic {wrong[0]!r}: expected a name")
             yield reader

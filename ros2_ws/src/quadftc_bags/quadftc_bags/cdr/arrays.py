@@ -29,7 +29,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from quadftc_bags.cdr.layout import NANOSECONDS, ORIGIN, Leaf, Place, byte_order, find_layout, find_leaves
 
-Arrays = dict[str, NDArray[Any]]
+Column = NDArray[Any]  # a field of all messages (n, ...)
+Arrays = dict[str, Column]
 Bytes = NDArray[np.uint8]
 
 
@@ -61,7 +62,7 @@ def encode_topic(types: Typesdict, type_name: str, fields: Mapping[str, Any], co
     """
     parts: list[Bytes] = [np.tile(np.array([0, 1, 0, 0], np.uint8), (count, 1))]
 
-    def put(values: Any, size: int) -> None:
+    def put(values: Column, size: int) -> None:
         raw = np.ascontiguousarray(values).view(np.uint8).reshape(count, -1)
         gap = (ORIGIN - sum(part.shape[1] for part in parts)) % size if raw.size else 0
         parts.extend((np.zeros((count, gap), np.uint8), raw))
@@ -79,7 +80,7 @@ def encode_topic(types: Typesdict, type_name: str, fields: Mapping[str, Any], co
                 put(np.tile(np.frombuffer(text, np.uint8), (count, 1)), 1)
             continue
         dtype = np.dtype(leaf.code).newbyteorder("<")
-        unknown: Any = np.nan if dtype.kind == "f" else 0
+        unknown = np.nan if dtype.kind == "f" else 0
         number = np.shape(given)[1] if leaf.length == -1 and given is not None else max(0, leaf.length or 1)
         values = np.full((count, number), unknown) if given is None else np.asarray(given)
         if leaf.kind == "time":
@@ -106,7 +107,7 @@ def _element(content: FieldDesc) -> tuple[str, int | None]:
     return element[1][0] if element[0] == Nodetype.BASE else element[1], length
 
 
-def _take_leaf(matrix: Bytes, leaf: Leaf, places: Sequence[Place]) -> NDArray[Any]:
+def _take_leaf(matrix: Bytes, leaf: Leaf, places: Sequence[Place]) -> Column:
     """Return one leaf of all messages; of several strings an array of lists."""
     own = [place for place in places if place.leaf.name == leaf.name]
     if leaf.is_sliced:
@@ -118,7 +119,7 @@ def _take_leaf(matrix: Bytes, leaf: Leaf, places: Sequence[Place]) -> NDArray[An
     return column
 
 
-def _take(matrix: Bytes, place: Place) -> NDArray[Any]:
+def _take(matrix: Bytes, place: Place) -> Column:
     """Return one leaf of all messages."""
     leaf, offset, number = place
     dtype = np.dtype(leaf.code).newbyteorder(byte_order(bytes(matrix[0, :2])))
@@ -133,7 +134,7 @@ def _take(matrix: Bytes, place: Place) -> NDArray[Any]:
     return values.reshape(*shape, *((leaf.width,) if leaf.kind == "vector" else ()))
 
 
-def _texts(raw: Bytes) -> NDArray[Any]:
+def _texts(raw: Bytes) -> Column:
     """Return the strings whose bytes, with the closing zero, are the rows."""
     rows = raw[:1] if bool(np.all(raw == raw[0])) else raw
     texts = np.array([row.tobytes().rstrip(b"\0").decode("utf-8", "replace") for row in rows])
@@ -146,7 +147,7 @@ def _decode_each(
     """Decode message by message."""
     store = get_typestore(Stores.EMPTY)
     store.register(types)
-    definition: Any = store.get_msgdef(type_name)
+    definition = store.get_msgdef(type_name)
     columns: dict[str, list[Any]] = {leaf.name: [] for leaf in leaves}
     for data in messages:
         try:
@@ -176,7 +177,7 @@ def _value(leaf: Leaf, message: Any) -> Any:
     return rows[0] if leaf.length is None else rows
 
 
-def _column(leaf: Leaf, values: list[Any]) -> NDArray[Any]:
+def _column(leaf: Leaf, values: list[Any]) -> Column:
     """Stack the values of all messages; values of different lengths stay objects."""
     ragged = leaf.length == -1 and len({len(value) for value in values}) > 1
     if leaf.is_sliced and not ragged:

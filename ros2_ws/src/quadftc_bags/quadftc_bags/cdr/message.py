@@ -98,7 +98,7 @@ class FieldWriter:
     ``message``.
     """
 
-    def __init__(self, message: Any, *fields: str) -> None:
+    def __init__(self, message: object, *fields: str) -> None:
         type_name = _type_name(type(message))
         clean = layout.PaddingCleaner(type_name).clean(serialize_message(message))
         found = layout.find_layout(layout.installed_leaves(type_name), clean)
