@@ -14,12 +14,12 @@ import weakref
 from collections.abc import Callable, Generator, Sequence
 from operator import attrgetter
 from types import FrameType
-from typing import Any, Protocol, Self, TypeVar, cast
+from typing import Protocol, Self, TypeVar, cast
 
 import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -41,7 +41,7 @@ CLOCK_PERIOD, SET_BACK = 0.02, 5_000_000  # s, ns; how often the machine's clock
 POLL = 0.25  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
 
 
-def make_executor(kind: str = "events", context: Any = None) -> Any:
+def make_executor(kind: str = "events", context: Context | None = None) -> Executor:
     """Make an executor: ``events`` (fast) or ``single`` (rclpy's default)."""
     if kind not in EXECUTORS:
         raise ValueError(f"executor = {kind!r}: expected one of {', '.join(EXECUTORS)}")
@@ -52,7 +52,7 @@ def make_executor(kind: str = "events", context: Any = None) -> Any:
     return executor
 
 
-def _outlive_clocks(found: weakref.ref[Any]) -> None:
+def _outlive_clocks(found: weakref.ref[Executor]) -> None:
     """Wake an executor and its timers whenever the clock of the machine was set back, until it is gone.
 
     The rclpy of the wheels is made for a glibc older than 2.30 and turns each time-out into a time of that
@@ -67,7 +67,7 @@ def _outlive_clocks(found: weakref.ref[Any]) -> None:
         time.sleep(CLOCK_PERIOD)
 
 
-def _wind_up(executor: Any) -> None:
+def _wind_up(executor: Executor) -> None:
     """Have all timers of an executor await their next time anew."""
     for node in executor.get_nodes():
         for timer in node.timers:
@@ -111,7 +111,7 @@ class Slice:
     Slices are long, as each leaks 32 bytes with the rclpy of the wheels (7.1.5, made with pybind11 3).
     """
 
-    def __init__(self, executor: Any) -> None:
+    def __init__(self, executor: Executor) -> None:
         self._executor = executor
         self._over: Future = Future()
         self._end = math.inf
@@ -147,7 +147,7 @@ class Pace:
     for each callback, as slices leak (`Slice`). With ``poll`` it never rests: the processor stays awake.
     """
 
-    def __init__(self, executor: Any, paced: Sequence[Paced], poll: bool) -> None:
+    def __init__(self, executor: Executor, paced: Sequence[Paced], poll: bool) -> None:
         self._executor, self._paced, self._poll = executor, paced, poll
 
     def spin(self, duration: float) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from nav_msgs.msg import Odometry
@@ -21,6 +21,8 @@ from quadftc_ros.motion_wire import RotorsReader
 from quadftc_ros.rotor_wire import RotorConditionReader
 from quadftc_ros.topics import GRAPHS, PlantKind
 from quadftc_ros.wire import imu_of, vector_of
+
+T = TypeVar("T")
 
 ROLES = ("truth", "measured", "corrected")  # of attitudes
 SOURCES = {"truth": "plant/attitude", "measured": "imu/data", "corrected": "imu/corrected"}
@@ -63,7 +65,7 @@ class Latest:
         """Return the newest stamp [ns]; 0 if nothing has come."""
         return max((stamp_ns for stamp_ns, _ in self._data.values()), default=0)
 
-    def read(self, topic: str, decode: Callable[[bytes], Any]) -> Any:
+    def read(self, topic: str, decode: Callable[[bytes], T]) -> T | None:
         """Return what a topic says now; None if it is silent, or says nothing that can be read."""
         stamp_ns, data = self._data.get(topic, (0, None))
         if data is None or self.stamp_ns() - stamp_ns > SILENT_NS:

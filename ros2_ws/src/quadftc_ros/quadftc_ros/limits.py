@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from quadftc_model.arrays import Components
 from quadftc_model.samples import MAX_BODY_RATE, AttitudeCommand
 from quadftc_model.vehicle import Vehicle
 
@@ -38,7 +39,7 @@ def limits_of(vehicle: Vehicle) -> Mapping[str, Limit]:
     }
 
 
-def _beyond(most: Any, numbers: Any) -> bool:
+def _beyond(most: Components | float, numbers: Components) -> bool:
     return bool(np.any(np.abs(numbers) > most))
 
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
@@ -30,6 +30,8 @@ from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import BASE_FRAME, IMU_FRAME, PLANT_KINDS, TOPICS, PlantKind, missing_connections
 from quadftc_ros.transport import MessageTrace, Note, Tap, decoding, receiver, tapped
+
+T = TypeVar("T")
 
 MODES = ("lockstep", "realtime")
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
@@ -108,7 +110,7 @@ class GraphNode(ManagedNode):
         if self.settings.values()["autostart"]:
             self.begin()
 
-    def publishes(self, topic: str) -> Callable[[Any], None]:
+    def publishes(self, topic: str) -> Callable[[object], None]:
         """Create the publisher of a topic of the table; return its ``publish``, of messages or serialised.
 
         While the node is not active, nothing is published.
@@ -122,7 +124,7 @@ class GraphNode(ManagedNode):
         traced = self._trace is not None and topic != "/clock"  # which has no header
         note = self._trace.noting(f"given {topic}") if self._trace is not None and traced else None
 
-        def publish(message: Any) -> None:
+        def publish(message: object) -> None:
             if not self.active:
                 return
             if note is not None:
@@ -132,7 +134,7 @@ class GraphNode(ManagedNode):
         return publish
 
     def reads(
-        self, topic: str, callback: Callable[[int, Any], None], decode: Callable[[bytes], Any] | None = None
+        self, topic: str, callback: Callable[[int, T], None], decode: Callable[[bytes], T] | None = None
     ) -> None:
         """Subscribe to a topic of the table; ``callback(stamp_ns, decode(serialised))``.
 
@@ -159,9 +161,9 @@ class GraphNode(ManagedNode):
     def driven_by(
         self,
         topic: str,
-        callback: Callable[[int, Any], None],
+        callback: Callable[[int, T], None],
         restart: Callable[[], None],
-        decode: Callable[[bytes], Any] | None = None,
+        decode: Callable[[bytes], T] | None = None,
     ) -> None:
         """Subscribe to the topic whose samples drive the node, as `reads` does.
 
@@ -170,7 +172,7 @@ class GraphNode(ManagedNode):
         """
         tolerance_ns, newest_ns = -1 if self.lockstep else round(MAX_GAP * NANOSECONDS), -1
 
-        def checked(stamp_ns: int, message: Any) -> None:
+        def checked(stamp_ns: int, message: T) -> None:
             nonlocal newest_ns
             if newest_ns - stamp_ns > tolerance_ns:
                 restart()

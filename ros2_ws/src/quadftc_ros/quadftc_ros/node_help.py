@@ -80,7 +80,7 @@ def running_line(node: Node) -> str:
     )
 
 
-def _default(value: Any) -> str:
+def _default(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return ",".join(map(_default, value)) or "none"
     return f"{value:g}" if isinstance(value, float) else str(value) or "none"

@@ -63,7 +63,7 @@ class NodeParameters:
     """The parameters of a node, as one flat mapping of dotted names."""
 
     # of the node that was made last, for its help: name, default and meaning of each parameter
-    told: ClassVar[list[tuple[str, Any, str]]] = []
+    told: ClassVar[list[tuple[str, object, str]]] = []
 
     def __init__(self, node: Node) -> None:
         NodeParameters.told.clear()
@@ -78,7 +78,7 @@ class NodeParameters:
         component: type,
         prefix: str = "",
         read_only: bool = False,
-        defaults: Mapping[str, Any] = MappingProxyType({}),
+        defaults: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
         """Declare every parameter of a dataclass, its name behind ``prefix``.
 

@@ -11,7 +11,7 @@ import time
 from array import array
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from quadftc_ros.conversions import END_NS
 from quadftc_ros.limits import Limit
 from quadftc_ros.topics import IMU, TOPICS
 
+T = TypeVar("T")
+
 PIECE = 65536  # messages of a trace: a minute at 1 kHz
 NO_STAMP = "stamp is no time"  # negative, or so late that no message can have it
 
@@ -33,14 +35,14 @@ Take = Callable[[bytes], None]  # gets a message in CDR
 Tap = Callable[[str], Take | None]  # full name of a topic -> what gets its messages, if anything does
 
 
-def tapped(publisher: Publisher, tap: Tap | None) -> Callable[[Any], None]:
+def tapped(publisher: Publisher, tap: Tap | None) -> Callable[[object], None]:
     """Return the ``publish`` of a publisher; a tap gets a copy. The message is serialised once, for both."""
     take = None if tap is None else tap(publisher.topic_name)
     if take is None:
         return publisher.publish
     handle = publisher.handle  # for bytes, without the detours of `publish`
 
-    def publish(message: Any) -> None:
+    def publish(message: object) -> None:
         data = message if isinstance(message, bytes) else serialize_message(message)
         with handle:
             handle.publish_raw(data)
@@ -105,8 +107,8 @@ def receiver(topic: str, callback: Callable[[int, bytes], None], count: Count, n
 
 def decoding(
     topic: str,
-    callback: Callable[[int, Any], None],
-    decode: Callable[[bytes], Any],
+    callback: Callable[[int, T], None],
+    decode: Callable[[bytes], T],
     count: Count,
     limit: Limit | None = None,
 ) -> Callable[[int, bytes], None]:
