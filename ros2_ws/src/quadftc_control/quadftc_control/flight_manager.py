@@ -68,7 +68,7 @@ class FlightManager:
         self._held = HeldTorque()
         self._next: AttitudeLoop | None = None  # takes over with the next sample
         self._fade = Fade()  # of the torque (3,) [N m]
-        self._status: Any = None  # last status of an observer that is silent, if it helps one that restarts
+        self._status: object = None  # last status of a silent observer, if it helps one that restarts
         self._mode: Mode | None = None
         self.stamp_ns = 0  # of the last command [ns]; 0 before the first
         self._watched_ns = self._silent_since_ns = 0

@@ -34,7 +34,7 @@ class MessageReader(NamedTuple):
 
     imu: Callable[[bytes], ImuSample]  # the sample of imu/data
     states: Callable[[bytes], tuple[int, ...]]  # the state of each axis of fault/status
-    status: Callable[[bytes], Any]  # the message of fault/status
+    status: Callable[[bytes], object]  # the message of fault/status
     faulty_part: Callable[[Any], Vector]  # estimate (3,) [rad] of that message, zero on axes without an alarm
     # (message, stamp_ns, fault, certain): put another fault (3,) [rad] in; beyond certain an axis is faulty
     revise: Callable[[Any, int, Vector, float], None]
@@ -86,7 +86,7 @@ class LastWords:
             return seen
         return -self.bias[1]
 
-    def recall(self, now_ns: int) -> tuple[Any, int, Vector] | None:
+    def recall(self, now_ns: int) -> tuple[object, int, Vector] | None:
         """Return the last status (message), its stamp [ns] and the correction of the gyro [rad/s] (3,).
 
         None if nothing helps at a sample of imu/data [stamp in ns]: nothing was heard, the observer was

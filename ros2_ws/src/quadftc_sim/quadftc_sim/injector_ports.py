@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
 
 from std_msgs.msg import Header
 
@@ -95,7 +94,9 @@ class InjectorPorts:
         }
         return WARN if active else OK, f"{len(active)} faults act", active
 
-    def _on_inject(self, request: Any, response: Any) -> Any:
+    def _on_inject(
+        self, request: InjectFault.Request, response: InjectFault.Response
+    ) -> InjectFault.Response:
         with self.lock:
             # times count from the last sample; a fault without a start begins with the next one
             after = JUST_AFTER if self.injector.begun and request.start == 0.0 else 0.0
@@ -114,7 +115,7 @@ class InjectorPorts:
         response.success, response.message = True, f"{injection.kind} on {injection.channel}"
         return response
 
-    def _on_clear(self, request: Any, response: Any) -> Any:
+    def _on_clear(self, request: ClearFault.Request, response: ClearFault.Response) -> ClearFault.Response:
         with self.lock:
             ended = response.cleared = self.injector.clear(request.id)
         response.success = request.id == 0 or ended > 0

@@ -230,7 +230,7 @@ class PlantNode(GraphNode):
             if self.active and time.monotonic_ns() + slack_ns >= self.flight.due_ns:
                 self.tick()
 
-    def _on_start(self, request: Any, response: Any) -> Any:
+    def _on_start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self.start()
         refusal = "the flight has begun already" if self.active else "the node is not active"
         response.message = "started" if response.success else refusal
