@@ -15,6 +15,17 @@ and the oldest where nothing is likely. So a hypothesis "since 40 ms" has never 
 Models are wrong. How much noisier gyro and attitude are to these tests than the filter believes is learned,
 by axis and ring, where they are believed: the `temper`. J and d are divided by the largest of the rings, for
 all modes and onsets alike: it doubts a channel, not a hypothesis.
+
+A wild gyro scatters, nobody knows by how much. Of its n innovations the likeliest variance is f V, with f V
+the mean of (e - S b)², if f > 1. Against none, whose innovations have the variance V, that adds
+
+    sum e²/V (1 - 1/f) / 2 - n ln f / 2
+
+So does vibration, which is no fault: a gyro that scatters, and reads nothing else. It takes its share of what
+speaks for a wild gyro.
+
+Where no mode fits, the best proves little against the next. What an axis shows is divided by what its best
+hypothesis leaves of the innovations' squares, over what noise would (Birge 1932), if that is more than 1.
 """
 
 from __future__ import annotations
@@ -49,6 +60,7 @@ from quadftc_model.arrays import (
     Mask,
     Scalar,
     Vector,
+    clip,
     column,
     exp,
     larger,
@@ -69,6 +81,8 @@ SETTLE = 1.0  # s; chosen: for how long learned tempers count less than that
 CLIP = 3.0  # 1; chosen: most that a sample says, over what was learned
 NEVER = -1.0  # s; mark: age of a slot without an onset
 LOWEST = -1e9  # 1; mark: log weight of such a slot
+CERTAIN = 50.0  # 1; rounding: log of odds
+WILDS = slice(3 * WILD, None)  # modes
 # log of the prior: rate times what a slot covers
 USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 
@@ -79,6 +93,8 @@ class Bank(NamedTuple):
     U: Array  # (..., 8, 3, 2, modes, slots)
     J: Array  # of both channels (..., 2, 3, modes, slots): size by size, size by slope, slope by slope
     d: Array  # (..., 2, 2, modes, slots)
+    square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
+    count: Array  # of these innovations (..., 2, axes, slots)
     age: Array  # of onsets (..., modes, slots) [s]
     since: Array  # since each ring took an onset (..., 3) [s]
     temper: Array  # of both channels (..., 2, axes, rings)
@@ -91,6 +107,7 @@ class Posterior(NamedTuple):
     log_weight: Array  # against none (..., modes, slots)
     b: Array  # size and slope (..., 2, modes, slots)
     covariance: Array  # size by size, size by slope, slope by slope (..., 3, modes, slots)
+    vibration: Array  # probability that a gyro which scatters vibrates, on each axis (..., 3)
 
 
 def start_bank(like: Vector) -> Bank:
@@ -99,7 +116,8 @@ def start_bank(like: Vector) -> Bank:
     modes = (EFFECTS, len(RING))
     J, temper = xp.zeros((*batch, 2, 3, *modes)), xp.zeros((*batch, 2, 3, len(SLOTS)))
     U, age = xp.zeros((*batch, STATES, 3, 2, *modes)), xp.zeros((*batch, *modes)) + NEVER
-    return Bank(U, J, J[..., :2, :, :], age, xp.zeros_like(like) - LEARNING, temper + DOUBT, temper)
+    none, since = xp.zeros((*batch, 2, 3, len(RING))), xp.zeros_like(like) - LEARNING
+    return Bank(U, J, J[..., :2, :, :], none, none, age, since, temper + DOUBT, temper)
 
 
 def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
@@ -143,6 +161,8 @@ def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
         U=where(fresh[..., None, None, None, :, :], jump, state.U),
         J=where(fresh[..., None, None, :, :], 0.0, state.J),
         d=where(fresh[..., None, None, :, :], 0.0, state.d),
+        square=where(fresh[..., None, :, :], 0.0, state.square),
+        count=where(fresh[..., None, :, :], 0.0, state.count),
         age=where(fresh, 0.0, age),
         since=where(due, 0.0, since),
     )
@@ -186,6 +206,8 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
         U=state.U - gain * S[..., None, :, :, :, :],
         J=state.J + own * J[..., None, :, :, :],
         d=state.d + own * (e * S).sum(-4)[..., None, :, :, :],
+        square=state.square + own[..., 0] * (weight * seen.innovation**2)[..., None, :, None],
+        count=state.count + own[..., 0] * seen.used[..., None, :, None],
     )
 
 
@@ -196,12 +218,51 @@ def believe(state: Bank, witnessed: Mask, failing: Flag) -> Posterior:
     cannot be told from motion, or from an attitude that jumps. Where a sensor is ``failing`` (..., 2), gyro
     or attitude, a fault of its other axes is no rarer than what is none.
     """
-    share = 1.0 / state.temper.max(axis=-1)[..., AXIS[:EFFECTS]]  # (..., 2, effects); alike for all onsets
-    J, d = ((part * share[..., None, :, None]).sum(axis=-4)[..., EFFECT, :] for part in (state.J, state.d))
-    evidence, b, covariance = _solved(J, d, PRIOR)
+    xp, share = namespace(state.age), 1.0 / state.temper.max(axis=-1)  # (..., 2, axes); alike for all onsets
+    of_effects = share[..., AXIS[:EFFECTS]][..., None, :, None]
+    J, d = (state.J * of_effects)[..., EFFECT, :], (state.d * of_effects)[..., EFFECT, :]
+    square, count = state.square * share[..., None], state.count  # (..., 2, axes, slots)
+    heard, number = square[..., OF_GYRO, :, :], count[..., OF_GYRO, :, :]
+    # gyros that scatter: those of vibration, and wild ones less their line
+    _, b, _ = _solved(J[..., WILDS, :].sum(axis=-4), d[..., WILDS, :].sum(axis=-4), PRIOR[WILDS])
+    left = heard - _explained(J[..., OF_GYRO, :, WILDS, :], d[..., OF_GYRO, :, WILDS, :], b)
+    louder, scatter = (larger(part / larger(number, 1.0), 1.0) for part in (heard, left))
+    scatter = xp.concatenate([xp.ones_like(J[..., 0, 0, : WILDS.start, :]), scatter], axis=-2)
+    by_scatter = _scattering(heard[..., AXIS, :], number[..., AXIS, :], scatter)
+    shares = xp.stack([1.0 / scatter, xp.ones_like(scatter)], axis=-3)  # of gyro and attitude
+    joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
+    square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
     began = (state.age[..., EFFECT, :] >= 0.0) & (witnessed[..., AXIS] | (KIND != WILD))[..., None]
-    likelier = where(failing[..., 1 * (CHANGED == ATTITUDE)] & IS_FAULT, MORE, 0.0)
-    return Posterior(where(began, evidence + USUAL + likelier[..., None], LOWEST), b, covariance)
+    prior = USUAL + where(failing[..., 1 * (CHANGED == ATTITUDE)] & IS_FAULT, MORE, 0.0)[..., None]
+    evidence, b, _ = _solved(joint_J, joint_d, PRIOR)
+    misfit = (square - (joint_d * b).sum(axis=-3)) / larger(count, 1.0)
+    doubt = _of_the_best(misfit, where(began, evidence + by_scatter + prior, LOWEST))  # (..., axes)
+    of_modes = doubt[..., None, AXIS, None]
+    evidence, b, covariance = _solved(joint_J / of_modes, joint_d / of_modes, PRIOR)
+    weight = where(began, evidence + by_scatter / of_modes[..., 0, :, :] + prior, LOWEST)
+    innocent = _scattering(heard, number, louder) / doubt[..., None] + USUAL[3 * PUSH : 3 * PUSH + 3]
+    more = weight[..., WILDS, :].max(axis=-1) - innocent.max(axis=-1)
+    return Posterior(weight, b, covariance, 1.0 / (1.0 + exp(clip(more, -CERTAIN, CERTAIN))))
+
+
+def _scattering(square: Array, count: Array, scatter: Array) -> Array:
+    """Return the evidence that a number of innovations with squares over their variances scatters."""
+    return 0.5 * (square * (1.0 - 1.0 / scatter) - count * log(scatter))
+
+
+def _explained(J: Array, d: Array, b: Array) -> Array:
+    """Return what size and slope explain of the innovations' squares, in a channel (..., modes, slots)."""
+    size, slope = b[..., 0, :, :], b[..., 1, :, :]
+    by_line = J[..., 0, :, :] * size**2 + 2.0 * J[..., 1, :, :] * size * slope + J[..., 2, :, :] * slope**2
+    return 2.0 * (d * b).sum(axis=-3) - by_line
+
+
+def _of_the_best(misfit: Array, worth: Array) -> Array:
+    """Return the misfit of the likeliest hypothesis of each axis (..., 3), at least 1."""
+    rows = (*worth.shape[:-2], len(CHANGES), 3, len(RING))
+    misfit, worth = misfit.reshape(rows), worth.reshape(rows)
+    best = worth == worth.max(axis=(-1, -3), keepdims=True)
+    return larger(where(best, misfit, -LOWEST).min(axis=(-1, -3)), 1.0)
 
 
 def by_effect(of_modes: Array) -> Array:
@@ -255,4 +316,6 @@ def forget(state: Bank, axes: Mask, alone: Mask) -> Bank:
     gone = axes[..., own][..., None]
     again = ~(alone[..., own] & (KIND[:EFFECTS] == GYRO))[..., None]
     J, d = state.J * again[..., None, None, :, :], state.d * again[..., None, None, :, :]
-    return state._replace(age=where(gone, NEVER, state.age), J=J, d=d)
+    heard = ~alone[..., None, :, None]
+    square, count = state.square * heard, state.count * heard
+    return state._replace(age=where(gone, NEVER, state.age), J=J, d=d, square=square, count=count)

@@ -51,7 +51,7 @@ SCALES = 0.01  # 1; chosen: scale and alignment of a MEMS gyro
 LAGS = 0.01  # s; chosen: lag of an attitude
 SMEAR = 0.005  # 1/√s; chosen: error of an attitude over the rate that wanders
 JITTER = 0.001  # s; chosen: error of an attitude over the rate that is white
-LOUD = 40.0  # 1; chosen: largest square of an innovation over its variance: noise has tails
+LOUD = 80.0  # 1; chosen: largest square of an innovation over its variance: noise has tails
 LOUDER = math.log(4.0)  # 1; chosen: fourfold with each after several loud ones in a row
 UNDRIVEN = MAX_BODY_RATE / 1.0  # rad/s²; where no torque is known: any body rate within 1 s
 

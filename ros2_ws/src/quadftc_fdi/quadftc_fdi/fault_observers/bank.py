@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from quadftc_fdi.bank import inference, modes, motion, noise, readings, translation, trust
-from quadftc_fdi.bank.inference import OF_ATTITUDE, OF_GYRO, Bank
+from quadftc_fdi.bank.inference import OF_ATTITUDE, OF_GYRO, Bank, Posterior
 from quadftc_fdi.bank.motion import Gains, Motion
 from quadftc_fdi.bank.noise import Learning, Noise
 from quadftc_fdi.bank.readings import Readings
@@ -140,7 +142,7 @@ class BankObserver(FlightLaw):
         failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude)])
         witnesses = good_attitude, good_gyro & ~state.gyro.faulty, column(inputs.driven)
         posterior = inference.believe(bank, good_attitude & column(inputs.driven), failing)
-        shares, p, doubt = _probabilities(posterior.log_weight)
+        shares, p, doubt = _probabilities(posterior)
         aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
         named = self._named(p, doubt, aged, *witnesses)
         is_sure = named.any(axis=-1)
@@ -153,7 +155,9 @@ class BankObserver(FlightLaw):
         # one witness of each axis stays: who names the last takes the other name back
         cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
         before = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
-        believed = motion.unsettled(believed, motion.THETA, where(cleared[0], off * off, 0.0))
+        # what a faulty gyro has taught is doubted
+        believed = motion.unsettled(believed, motion.THETA, where(cleared[0] | gyro, off * off, 0.0))
+        believed = motion.unsettled(believed, motion.D, where(gyro, believed.unknown**2, 0.0))
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, dt)
         usual, louder = state.motion.bias, noise.louder(state.learning)
@@ -332,15 +336,23 @@ class BankObserver(FlightLaw):
         )
 
 
-def _probabilities(weight: Array) -> tuple[Array, Array, Array]:
+def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
     """Return the probability of hypotheses and modes, and what is left beside each mode (..., modes)."""
+    weight = posterior.log_weight
     highest = larger(weight.max(axis=(-1, -2)), 0.0)
     shares, none = exp(weight - highest[..., None, None]), exp(-highest)
     total = none + shares.sum(axis=(-1, -2))
     shares = shares / total[..., None, None]
     p = shares.sum(axis=-1)
     others = p @ (1.0 - modes.SAME)  # a sum, as 1 - p would lose it to rounding
-    return shares, p, column(none / total) + others
+    vibration = posterior.vibration[..., modes.AXIS] * (modes.KIND == modes.WILD)
+    mine, same = p * vibration, modes.SAME - np.eye(modes.MODES)
+    innocent = mine + (mine @ same) * (p < p @ same)  # what hides a vibration is named by its likelier half
+    return (
+        shares * (1.0 - vibration)[..., None],
+        p * (1.0 - vibration),
+        column(none / total) + others + innocent,
+    )
 
 
 def _of_gyro(of_modes: Array) -> Vector:
