@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from quadftc_flight.diagnosis_metrics.columns import Figure, Floats, Mask, Metrics, largest, mean, number, rms
+from quadftc_flight.diagnosis_metrics.columns import (
+    Figure,
+    Floats,
+    Mask,
+    Metrics,
+    PerAxis,
+    largest,
+    mean,
+    number,
+    rms,
+)
 from quadftc_flight.diagnosis_metrics.verdicts import diagnosis_metrics
 from quadftc_flight.diagnosis_metrics.which_rotor import rotor_metrics
 from quadftc_flight.diagnosis_metrics.which_sensor import JudgedSensors, attitude_error, sensor_metrics
@@ -26,7 +36,6 @@ from quadftc_model.samples import AXES
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-PerAxis = dict[str, float | None]
 Json: TypeAlias = "dict[str, Json] | list[Json] | str | float | bool | None"
 
 SETTLING_TIME = 0.2  # s; how long after an onset or an end the estimate may be off

@@ -246,7 +246,7 @@ def believe(state: Bank, witnessed: Mask, failing: Flag) -> Posterior:
 
 
 def _scattering(square: Array, count: Array, scatter: Array) -> Array:
-    """Return the evidence that a number of innovations with squares over their variances scatters."""
+    """Return the log-likelihood that a scatter adds, by the sum of the squares of so many innovations."""
     return 0.5 * (square * (1.0 - 1.0 / scatter) - count * log(scatter))
 
 

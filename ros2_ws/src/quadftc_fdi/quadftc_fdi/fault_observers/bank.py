@@ -337,7 +337,11 @@ class BankObserver(FlightLaw):
 
 
 def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
-    """Return the probability of hypotheses and modes, and what is left beside each mode (..., modes)."""
+    """Return the probability of hypotheses and modes, and what is left beside each mode (..., modes).
+
+    Vibration has its share of a wild gyro. It is left beside a less likely offset of that gyro, too: else the
+    offset would be named for it.
+    """
     weight = posterior.log_weight
     highest = larger(weight.max(axis=(-1, -2)), 0.0)
     shares, none = exp(weight - highest[..., None, None]), exp(-highest)
@@ -346,13 +350,9 @@ def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
     p = shares.sum(axis=-1)
     others = p @ (1.0 - modes.SAME)  # a sum, as 1 - p would lose it to rounding
     vibration = posterior.vibration[..., modes.AXIS] * (modes.KIND == modes.WILD)
-    mine, same = p * vibration, modes.SAME - np.eye(modes.MODES)
-    innocent = mine + (mine @ same) * (p < p @ same)  # what hides a vibration is named by its likelier half
-    return (
-        shares * (1.0 - vibration)[..., None],
-        p * (1.0 - vibration),
-        column(none / total) + others + innocent,
-    )
+    vibrates, same = p * vibration, modes.SAME - np.eye(modes.MODES)
+    left = column(none / total) + others + vibrates + (vibrates @ same) * (p < p @ same)
+    return shares * (1.0 - vibration)[..., None], p * (1.0 - vibration), left
 
 
 def _of_gyro(of_modes: Array) -> Vector:

@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Figure = Callable[[ArrayLike], float | None]  # of samples; None: no sample is finite
 Record = dict[str, float | str | bool | None]  # of one fault: when and where it was, and how it was judged
+PerAxis = dict[str, float | None]  # figures by the name of an axis
 Metrics = dict[str, Any]  # as in summary.json: figures by name, and mappings and lists of them
 
 CONFIDENCE = 0.95  # probability that the band holds the statistic of a consistent estimate

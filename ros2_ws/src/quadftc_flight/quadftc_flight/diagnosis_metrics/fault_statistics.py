@@ -11,6 +11,7 @@ from typing import Any, cast
 from quadftc_flight.diagnosis_metrics.columns import (
     Figure,
     Metrics,
+    PerAxis,
     Record,
     consistency_band,
     largest,
@@ -20,8 +21,6 @@ from quadftc_flight.diagnosis_metrics.columns import (
     number,
     percentile_95,
 )
-
-PerAxis = dict[str, float | None]
 
 ALL = "all"  # beside the kinds: faults of every kind
 SECONDS_PER_HOUR = 3600.0
