@@ -18,7 +18,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).parent
-NEEDED = ("jax", "jaxtyping", "numpy", "pydantic", "pyyaml", "ruamel-yaml")  # to load and trace the scenarios
+NEEDED = ("jax", "numpy", "pydantic", "pyyaml", "ruamel-yaml")  # to load and trace the scenarios
 HAS_COMPILER = any(map(shutil.which, ("cc", "gcc", "clang")))
 CARRIES = HAS_COMPILER and (sys.platform, platform.machine()) == ("linux", "x86_64")
 NO_C = 3  # the exit code where the compiler does not work; a law that cannot be compiled stops the build
@@ -28,8 +28,9 @@ class CarryHook(BuildHookInterface):
     """Compiles laws into the wheel, which is then for this platform; without a compiler it is for any."""
 
     def dependencies(self) -> list[str]:
-        """Return what the build needs besides hatchling."""
-        given = self.metadata.core.dependencies_complex
+        """Return what the build needs besides hatchling; JAX is of the extra `batch`."""
+        core = self.metadata.core
+        given = core.dependencies_complex | core.optional_dependencies_complex["batch"]
         return [text for text, each in given.items() if each.name in NEEDED] if CARRIES else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:

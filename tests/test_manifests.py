@@ -53,11 +53,19 @@ KNOWN_TO_ROSDEP = {
 }
 
 
+class RunTime(ast.NodeTransformer):
+    """Drops what only a type checker reads."""
+
+    def visit_If(self, node):
+        is_for_types = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        return node.orelse if is_for_types else self.generic_visit(node)
+
+
 def imported_by(package):
-    """Top-level names that the modules of a package import."""
+    """Top-level names that the modules of a package import when they run."""
     names = set()
     for file in (package / package.name).rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(RunTime().visit(ast.parse(file.read_text(encoding="utf-8")))):
             if isinstance(node, ast.Import):
                 names |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom):

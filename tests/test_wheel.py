@@ -16,8 +16,6 @@ ROOT = Path(__file__).parents[1]
 MOST = 8_000_000  # bytes of the wheel
 CARRIES = platform.system() == "Linux" and platform.machine() == "x86_64"
 LAWS = """
-import sys
-sys.modules["jax"] = None  # whoever loads it fails
 from quadftc_compile.engine import CEngine
 from quadftc_flight.closed_loop import loop_of
 from quadftc_flight.scenario import find_scenario, load_scenario, scenario_names
@@ -29,7 +27,7 @@ for name in scenario_names():
             print(name, scheme, law, library and library.path.parent.name)
 """
 
-pytestmark = pytest.mark.thorough  # pip installs 1 GB
+pytestmark = pytest.mark.thorough  # pip installs 0.6 GB, and JAX for the build
 
 
 @pytest.fixture(scope="module")
@@ -69,33 +67,24 @@ def test_flies_checks_and_reports(call):
     assert call("report", "runs", "--out", "page.html").returncode == 0
     assert call("check", "paper_faults").returncode == 0
     assert call("check", "x500").returncode == 0
-    assert call("export", "sliding_mode", "--vehicle", "x500", "--out", "law").returncode == 0
+    assert call("-c", "import jax", program="python").returncode == 1
 
 
-def test_diagnoses_a_flight_with_and_without_a_compiler_alike(call, tmp_path):
+def test_diagnoses_a_flight_and_exports_it_as_a_log(call, tmp_path):
     assert call("run", "rotor_loss", "--out", tmp_path / "runs").returncode in (0, 1)
     (bag,) = (tmp_path / "runs").iterdir()
-    said = [
-        call("diagnose", bag, "--out", tmp_path / name, path=path)
-        for name, path in (("c", os.defpath), ("numpy", str(tmp_path)))
-    ]
-    verdicts = [json.loads((tmp_path / name / "verdict.json").read_text()) for name in ("c", "numpy")]
-    assert [each.returncode for each in said] == [1, 1], said
-    assert verdicts[0]["findings"] == verdicts[1]["findings"] != []
+    assert call("diagnose", bag, "--out", tmp_path / "verdict").returncode == 1
+    assert json.loads((tmp_path / "verdict" / "verdict.json").read_text())["findings"]
+    assert call("export", bag, "--log", "ardupilot", "--out", tmp_path / "flight.bin").returncode == 0
 
 
-def test_flies_the_same_without_a_compiler_and_says_so(call, tmp_path):
-    done = [
-        call("run", "paper_faults", "--set", "references=[]", "--out", tmp_path / name, path=path)
-        for name, path in (("c", os.defpath), ("numpy", str(tmp_path)))
-    ]
-    assert done[1].stderr.count("flies in NumPy, which is slower: there is no C compiler") == 1
-    summaries = [
-        json.loads(next((tmp_path / name).glob("*/summary.json")).read_text()) for name in ("c", "numpy")
-    ]
-    rmse = [each["metrics"]["tracking_rmse_deg"] for each in summaries]
-    assert rmse[0] == pytest.approx(rmse[1])
-    assert summaries[0]["passed"] == summaries[1]["passed"]
+def test_flies_in_numpy_what_it_does_not_carry_and_says_so_once(call, tmp_path):
+    done = call("run", "paper_faults", "--set", "references=[]", "--out", tmp_path)
+    assert done.returncode in (0, 1)
+    assert done.stderr == (
+        "quadftc: flies in NumPy, which is slower: "
+        "JAX is not installed, which traces laws: pip install 'quadftc[batch]'\n"
+    )
 
 
 @pytest.mark.skipif(not CARRIES, reason="the wheel carries C for Linux x86-64")
@@ -139,6 +128,7 @@ def test_flies_in_c_that_it_carries_and_says_nothing(call, tmp_path):
         (("replay", "x.mcap"), "ROS 2"),
         (("serve",), "quadftc[serve]"),
         (("campaign", ROOT / "campaigns/mems_faults.yaml"), "quadftc[batch]"),
+        (("export", "sliding_mode", "--vehicle", "x500", "--out", "law"), "quadftc[batch]"),
     ],
 )
 def test_says_what_a_command_needs_besides(call, arguments, remedy):

@@ -35,7 +35,7 @@ GRAPH_ERROR = "quadftc_flight.graph.plan.GraphError"
 ROS = ("rclpy", "ament_index_python", "quadftc_msgs", "builtin_interfaces", "std_msgs", "sensor_msgs", "rcl_")
 EXTRAS = {
     "serve": ("fastapi", "nicegui", "starlette", "uvicorn"),
-    "batch": ("optax", "polars"),
+    "batch": ("jax", "optax", "polars"),
     "isolability": ("sympy",),
 }
 MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters

@@ -29,6 +29,7 @@ NATIVE = X86 if platform.machine() in ("x86_64", "i686") else ("-mcpu=native",)
 LOOPS = ("-O1", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-fpeel-loops", "-funswitch-loops")
 PORTABLE = ("-march=x86-64", "-mtune=generic")  # behind NATIVE: any x86-64
 LIBRARY = ("-std=c99", *EXACT, *NATIVE, "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
+NO_TRACER = "JAX is not installed, which traces laws: pip install 'quadftc[batch]'"
 FORMAT = 2  # of records; another one for another way to call
 
 
@@ -122,7 +123,7 @@ def build_library(recipe: Recipe, keep: bool = True) -> Library:
 def what_is_missing() -> str | None:
     """Return what this machine lacks to compile laws, in words; None if nothing."""
     if tracer() is None:
-        return "JAX is not installed, which traces laws (pip install jax)"
+        return NO_TRACER
     return None if compiler() is not None else "there is no C compiler that works (cc, gcc or clang)"
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_compile.build import BuildError
+from quadftc_compile.build import NO_TRACER, BuildError
 from quadftc_compile.fingerprint import tracer
 from quadftc_compile.layout import Layout, Leaf, leaves_of, numpy_type
 from quadftc_compile.program import Program, path_members, write_program
@@ -62,7 +62,7 @@ class Exported:
 def export_of(recipe: Recipe, real: str = "double") -> Exported:
     """Trace a law and write it in C; ValueError if it cannot be exported."""
     if tracer() is None:
-        raise BuildError(f"{recipe.name}: JAX is not installed, which traces laws (pip install jax)")
+        raise BuildError(f"{recipe.name}: {NO_TRACER}")
     exported = Exported(recipe, write_program(recipe.name, recipe.law, recipe.functions, real), real)
     plain = [part for part, layout in exported.layouts.items() if layout[0] != "tuple"]
     if plain:

@@ -104,7 +104,8 @@ def test_one_that_does_not_fit_is_not_flown(bare, damage):
     found = outputs(CEngine(said.append)(law), law)
     np.testing.assert_array_equal(found, outputs(NumpyRunner(law), law))
     assert said == [
-        "flies in NumPy, which is slower: JAX is not installed, which traces laws (pip install jax)"
+        "flies in NumPy, which is slower: "
+        "JAX is not installed, which traces laws: pip install 'quadftc[batch]'"
     ]
 
 
