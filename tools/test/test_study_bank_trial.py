@@ -19,9 +19,9 @@ START, SIZE = 6.5, 8.0  # s, rad/s²
 @pytest.fixture(scope="module")
 def recorded():
     """A flight, the same with a push about pitch, and the period of the samples."""
-    recorder, torque = bank_trial.Recorder(), SIZE * load_vehicle("qball_x4").inertia
-    healthy, dt = recorder.record(1003, START, np.zeros(3))
-    pushed, _ = recorder.record(1003, START, torque * [0.0, 1.0, 0.0])
+    torque = SIZE * load_vehicle("qball_x4").inertia
+    healthy, dt = bank_trial.record_flight(1003, START, np.zeros(3))
+    pushed, _ = bank_trial.record_flight(1003, START, torque * [0.0, 1.0, 0.0])
     return healthy, pushed, dt
 
 

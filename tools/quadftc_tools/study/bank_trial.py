@@ -25,14 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_compile.build import build_library
-from quadftc_compile.engine import engine_named
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.runner import CRunner
-from quadftc_compile.wiring import BLOCK, Flown, flown_by
 from quadftc_fdi.fault_observer import fault_observer_from, fault_observers
-from quadftc_flight.closed_loop import loop_of
+from quadftc_flight.closed_loop import LoopFlyer, loop_of
 from quadftc_flight.loop import ClosedLoop
-from quadftc_flight.loop_draws import LoopDraws
 from quadftc_flight.reported import joined
 from quadftc_flight.scenario import Scenario, build_scenario, load_scenario, with_duration, with_seed
 from quadftc_flight.scenario.document import Keys
@@ -117,37 +114,33 @@ def draw_faults(seed: int) -> tuple[float, dict[str, Fault]]:
     return onset, faults
 
 
-class Recorder:
-    """Flies vehicles in C, one after the other, and keeps what an observer sees."""
+@functools.cache
+def flyer() -> LoopFlyer:
+    """Return what flies vehicles in this process, one after the other."""
+    return LoopFlyer()
 
-    def __init__(self) -> None:
-        loop = self._flight(0, 0.0, np.zeros(3))[1]
-        self._flown: Flown = flown_by(engine_named("c"), loop, LoopDraws.example(loop))
 
-    def _flight(self, seed: int, start: float, torque: Floats) -> tuple[Scenario, ClosedLoop]:
-        document = load_scenario(SCENARIO).document
-        gusts = {**document.data["disturbances"][0], "history": seed}
-        push = {"kind": "constant", "amplitude": torque.tolist(), "start": start, "stop": start + PUSHED}
-        changes: dict[Keys, object] = {("faults",): [], ("disturbances",): [gusts, push]}
-        scenario = build_scenario(document.replaced(changes, "trial"))
-        scenario = with_seed(with_duration(scenario, DURATION), seed)
-        return scenario, loop_of(scenario, scenario.scheme("without_diagnosis"))
+def _loop_of(seed: int, start: float, torque: Floats) -> tuple[Scenario, ClosedLoop]:
+    document = load_scenario(SCENARIO).document
+    gusts = {**document.data["disturbances"][0], "history": seed}
+    push = {"kind": "constant", "amplitude": torque.tolist(), "start": start, "stop": start + PUSHED}
+    changes: dict[Keys, object] = {("faults",): [], ("disturbances",): [gusts, push]}
+    scenario = build_scenario(document.replaced(changes, "trial"))
+    scenario = with_seed(with_duration(scenario, DURATION), seed)
+    return scenario, loop_of(scenario, scenario.scheme("without_diagnosis"))
 
-    def record(self, seed: int, start: float, torque: Floats) -> tuple[FaultObserverInputs, float]:
-        """Fly with a push by a torque [N m] from ``start`` [s] on; return samples (n, ...), their period."""
-        scenario, loop = self._flight(seed, start, torque)
-        count, parts = sample_count(scenario.duration, scenario.rate), list[Any]()
-        draws = LoopDraws(loop, seed, count)
-        self._flown.configure(loop)
-        for begin in range(0, count, BLOCK):
-            rows = min(BLOCK, count - begin)
-            made = self._flown.run(draws.next(rows), rows)
-            parts.append(joined([(made.left, made.faulty.sample, made.said.attitude.said.output.torque)]))
-        left, imu, commanded = joined(parts)
-        came = np.flatnonzero(left)
-        torque = np.concatenate([np.zeros((1, 3)), commanded[came][:-1]])
-        driven = np.ones(len(came), np.bool_)
-        return FaultObserverInputs(rows_of(imu, came), torque, driven=driven), 1.0 / scenario.rate
+
+def record_flight(seed: int, start: float, torque: Floats) -> tuple[FaultObserverInputs, float]:
+    """Fly with a push by a torque [N m] from ``start`` [s] on; return samples (n, ...), their period."""
+    scenario, loop = _loop_of(seed, start, torque)
+    count, parts = sample_count(scenario.duration, scenario.rate), list[Any]()
+    for _, made in flyer().fly(loop, seed, count):
+        parts.append(joined([(made.left, made.faulty.sample, made.said.attitude.said.output.torque)]))
+    left, imu, commanded = joined(parts)
+    came = np.flatnonzero(left)
+    torque = np.concatenate([np.zeros((1, 3)), commanded[came][:-1]])
+    driven = np.ones(len(came), np.bool_)
+    return FaultObserverInputs(rows_of(imu, came), torque, driven=driven), 1.0 / scenario.rate
 
 
 def with_fault(imu: ImuSample, fault: Fault, dt: float) -> ImuSample:
@@ -181,17 +174,11 @@ def verdict_of(named: Words, ambiguous: Words, fault: Fault, dt: float) -> Verdi
 
 
 @functools.cache
-def recorder() -> Recorder:
-    """Return the recorder of this process."""
-    return Recorder()
-
-
-@functools.cache
 def runner_of(observer: str) -> CRunner:
     """Return an observer in C; ValueError if it does not say which sensor is faulty."""
     fault_observers.get(observer)  # a ValueError names those that there are
     law = fault_observer_from({"vehicle": load_scenario(SCENARIO).vehicle, "observer": observer})
-    inputs = rows_of(recorder().record(0, 0.0, np.zeros(3))[0], 0)
+    inputs = rows_of(record_flight(0, 0.0, np.zeros(3))[0], 0)
     runner = CRunner(law, build_library(recipe_of(law, inputs)))
     if runner.first(inputs)[1].sensors is None:
         raise ValueError(f"observer '{observer}': expected one that says which sensor is faulty")
@@ -202,7 +189,7 @@ def judge_flight(seed: int, observers: Sequence[str]) -> list[Judged]:
     """Judge all kinds of fault of a flight by all observers."""
     start, faults = draw_faults(seed)
     inertia = load_vehicle(load_scenario(SCENARIO).vehicle).inertia
-    healthy, dt = recorder().record(seed, start, np.zeros(3))
+    healthy, dt = record_flight(seed, start, np.zeros(3))
     onset = math.ceil(start / dt)
     rest, dts = rows_of(healthy, slice(onset, None)), np.full(len(healthy.torque), dt)
     given = dict[str, FaultObserverInputs]()
@@ -210,7 +197,7 @@ def judge_flight(seed: int, observers: Sequence[str]) -> list[Judged]:
         given[name] = rest._replace(imu=with_fault(rest.imu, fault, dt))
         if fault.kind.sensor == PUSH:
             torque = fault.size * inertia * (np.arange(3) == fault.axis)
-            given[name] = rows_of(recorder().record(seed, start, torque)[0], slice(onset, None))
+            given[name] = rows_of(record_flight(seed, start, torque)[0], slice(onset, None))
     judged = list[Judged]()
     for observer in observers:
         runner = runner_of(observer)

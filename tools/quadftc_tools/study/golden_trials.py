@@ -6,7 +6,7 @@ docs/judging.md says why each is in its set.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,17 +18,14 @@ from quadftc_compile.build import build_library
 from quadftc_compile.engine import engine_named
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.runner import CRunner
-from quadftc_compile.wiring import BLOCK, Flown, flown_by
+from quadftc_compile.wiring import BLOCK, flown_by
 from quadftc_fdi.diagnosis import elements_of
 from quadftc_fdi.fault_observer import FaultObserver, fault_observers, is_usable_estimate
-from quadftc_flight.closed_loop import loop_of
+from quadftc_flight.closed_loop import LoopFlyer, loop_of
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.loop_draws import LoopDraws
 from quadftc_flight.metrics import LOST
 from quadftc_flight.reported import joined
-from quadftc_flight.scenario import Scenario
 from quadftc_model.arrays import Array, rows_of
-from quadftc_model.numbers import structure_of
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FaultEstimate, FaultObserverInputs, ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND, seconds
@@ -101,20 +98,21 @@ def recorded_trials(directory: Path) -> Iterator[Trial]:
 
 def simulated_trials() -> Iterator[Trial]:
     """All simulated flights of both sets."""
-    loops = _Loops()
+    flyer = LoopFlyer()
     for part, more in zip(SETS, (0, NEW_SEED), strict=True):
         for name, count in FLIGHTS.items():
             seed = load_campaign(CAMPAIGNS / f"{name}.yaml").seed + more
-            yield from flights_of(name, seed, count, part, loops)
+            yield from flights_of(name, seed, count, part, flyer)
 
 
 def flights_of(
-    name: str, seed: int, count: int, part: str = "other", loops: _Loops | None = None
+    name: str, seed: int, count: int, part: str = "other", flyer: LoopFlyer | None = None
 ) -> Iterator[Trial]:
     """Flights of a campaign with a seed."""
-    loops, campaign = loops or _Loops(), load_campaign(CAMPAIGNS / f"{name}.yaml", seed=seed, engine="c")
+    campaign = load_campaign(CAMPAIGNS / f"{name}.yaml", seed=seed, engine="c")
+    judge = functools.partial(_judge_flight, flyer or LoopFlyer(), campaign)
     for number in range(count):
-        yield Trial(f"{name} {seed}/{number}", name, part, functools.partial(loops.judge, campaign, number))
+        yield Trial(f"{name} {seed}/{number}", name, part, functools.partial(judge, number))
 
 
 def _judge_bag(path: Path, observer: str) -> Verdict:
@@ -170,44 +168,28 @@ def _run_law(law: FaultObserver, flight: Recorded, driven: bool) -> FaultEstimat
     return runner.run(state, rows_of(inputs, slice(1, None)), np.diff(flight.time))[1]
 
 
-class _Loops:
-    """Closed loops in C; flights of one structure share one."""
-
-    def __init__(self) -> None:
-        self._kept: dict[Hashable, Flown] = {}
-
-    def judge(self, campaign: Campaign, number: int, observer: str) -> Verdict:
-        """Fly a flight of a campaign, the observer at its defaults in the first scheme."""
-        variant = Variant(observer, campaign.variants[0].scheme, observer, None)
-        return self._fly(flight_scenario(campaign, number, variant))
-
-    def _fly(self, scenario: Scenario) -> Verdict:
-        scheme = scenario.scheme(None)
-        loop, count = loop_of(scenario, scheme), sample_count(scenario.duration, scenario.rate)
-        draws, delay = LoopDraws(loop, scenario.seed, count), loop.vehicle.imu.delay
-        key = structure_of(loop)
-        if key in self._kept:
-            self._kept[key].configure(loop)
-        else:
-            self._kept[key] = flown_by(engine_named("c"), loop, LoopDraws.example(loop))
-        angles, parts = np.empty((count, 3)), list[tuple[Array, ...]]()
-        for begin in range(0, count, BLOCK):
-            rows = min(BLOCK, count - begin)
-            output = self._kept[key].run(draws.next(rows), rows)
-            angles[begin : begin + rows] = output.motion.angles
-            came = np.flatnonzero(output.left & output.faulty.present)
-            said = output.said.estimate.said, output.said.command.attitude.angles
-            parts.append((begin + came - delay, *rows_of(said, came)))
-        taken, estimate, reference = joined(parts)
-        errors = np.sqrt(np.sum(wrap(angles[taken] - reference) ** 2, axis=1))
-        flown = np.flatnonzero(np.cumsum(errors > LOST) <= 1)  # what a lost vehicle says is chance
-        time = taken[flown] * seconds(round(loop.clock.period_ns))
-        alarms = alarms_of(scheme.observer.law, time, rows_of(estimate, flown))
-        end = scenario.duration if len(flown) == len(taken) else float(time[-1])
-        scheduled = (*scenario.fault_events, *scenario.rotor_events)
-        events = tuple(_event_of(event) for event in scheduled if event.start < end)
-        error_deg = two_digits(float(np.degrees(errors[flown].max())))
-        return Verdict(alarms, error_deg, (0.0, end), events)
+def _judge_flight(flyer: LoopFlyer, campaign: Campaign, number: int, observer: str) -> Verdict:
+    """Fly a flight of a campaign in C, the observer at its defaults in the first scheme."""
+    variant = Variant(observer, campaign.variants[0].scheme, observer, None)
+    scenario = flight_scenario(campaign, number, variant)
+    scheme = scenario.scheme(None)
+    loop, count = loop_of(scenario, scheme), sample_count(scenario.duration, scenario.rate)
+    angles, parts = np.empty((count, 3)), list[tuple[Array, ...]]()
+    for rows, output in flyer.fly(loop, scenario.seed, count):
+        angles[rows] = output.motion.angles
+        came = np.flatnonzero(output.left & output.faulty.present)
+        said = output.said.estimate.said, output.said.command.attitude.angles
+        parts.append((rows.start + came - loop.vehicle.imu.delay, *rows_of(said, came)))
+    taken, estimate, reference = joined(parts)
+    errors = np.sqrt(np.sum(wrap(angles[taken] - reference) ** 2, axis=1))
+    flown = np.flatnonzero(np.cumsum(errors > LOST) <= 1)  # what a lost vehicle says is chance
+    time = taken[flown] * seconds(round(loop.clock.period_ns))
+    alarms = alarms_of(scheme.observer.law, time, rows_of(estimate, flown))
+    end = scenario.duration if len(flown) == len(taken) else float(time[-1])
+    scheduled = (*scenario.fault_events, *scenario.rotor_events)
+    events = tuple(_event_of(event) for event in scheduled if event.start < end)
+    error_deg = two_digits(float(np.degrees(errors[flown].max())))
+    return Verdict(alarms, error_deg, (0.0, end), events)
 
 
 def _event_of(event: FaultEvent) -> Event:

@@ -15,12 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter  # type: ignore[import-untyped]
 
-from quadftc_compile.engine import engine_named
-from quadftc_compile.wiring import BLOCK, flown_by
 from quadftc_control.guidance import GuidanceOutput
-from quadftc_flight.closed_loop import loop_of
+from quadftc_flight.closed_loop import LoopFlyer, loop_of
 from quadftc_flight.loop import LoopOutput
-from quadftc_flight.loop_draws import LoopDraws
 from quadftc_model.rotations import to_body
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_sim.assembly import sample_count
@@ -59,12 +56,7 @@ def fly(flight: RandomFlight) -> Flown:
     """Fly in C."""
     scenario = flight.scenario
     loop, count = loop_of(scenario, scenario.scheme(None)), sample_count(scenario.duration, scenario.rate)
-    draws = LoopDraws(loop, scenario.seed, count)
-    flown = flown_by(engine_named("c"), loop, LoopDraws.example(loop))
-    parts: list[tuple[Floats, ...]] = []
-    for begin in range(0, count, BLOCK):
-        rows = min(BLOCK, count - begin)
-        parts.append(_columns(flown.run(draws.next(rows), rows)))
+    parts = [_columns(output) for _, output in LoopFlyer().fly(loop, scenario.seed, count)]
     columns = [np.concatenate(each) for each in zip(*parts, strict=True)]
     late = loop.vehicle.imu.delay  # samples; what was measured comes later than the truth
     full = flight.vehicle.rotors.speed_max

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_compile.engine import engine_named
-from quadftc_compile.wiring import BLOCK, flown_by
+from quadftc_compile.wiring import BLOCK, Flown, flown_by
 from quadftc_control.attitude_loop import AttitudeLoop
 from quadftc_control.guidance import FlightGuidance, GuidanceOutput, StandGuidance
 from quadftc_control.position_loop import PositionLoop
@@ -23,6 +23,7 @@ from quadftc_flight.reported import ReportLog, note_reports
 from quadftc_flight.scenario import Scenario, Scheme, estimator_for
 from quadftc_model.arrays import rows_of
 from quadftc_model.guarded import Guarded
+from quadftc_model.numbers import structure_of
 from quadftc_model.samples import DiagnosisReport, FaultEstimate, ImuSample
 from quadftc_model.stepper import seconds
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count, vehicle_from
@@ -61,13 +62,32 @@ def record_flight(
     """Fly as `fly` does; return the record, a `FlightRecord` or what is made of that class."""
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
     loop, count = loop_of(scenario, chosen), sample_count(scenario.duration, scenario.rate)
-    draws = LoopDraws(loop, scenario.seed, count)
-    flown = flown_by(engine_named(engine), loop, LoopDraws.example(loop))
     record = kind(loop, epoch_ns, count, watch)
-    for begin in range(0, count, BLOCK):
-        rows = min(BLOCK, count - begin)
-        record.note(begin, flown.run(draws.next(rows), rows))
+    for rows, output in LoopFlyer(engine).fly(loop, scenario.seed, count):
+        record.note(rows, output)
     return record
+
+
+class LoopFlyer:
+    """Flies closed loops by an engine, "c" or "numpy"; loops of one structure are wired once."""
+
+    def __init__(self, engine: str = "c") -> None:
+        self._engine, self._flown = engine_named(engine), dict[Hashable, Flown]()
+
+    def fly(self, loop: ClosedLoop, seed: int, count: int) -> Iterator[tuple[slice, LoopOutput]]:
+        """Fly so many samples with the seed of a scenario; yield the rows of each block and its output.
+
+        The next block is written over the arrays (n, ...) of an output.
+        """
+        structure = structure_of(loop)
+        if structure in self._flown:
+            self._flown[structure].configure(loop)
+        else:
+            self._flown[structure] = flown_by(self._engine, loop, LoopDraws.example(loop))
+        draws = LoopDraws(loop, seed, count)
+        for begin in range(0, count, BLOCK):
+            end = min(begin + BLOCK, count)
+            yield slice(begin, end), self._flown[structure].run(draws.next(end - begin), end - begin)
 
 
 def loop_of(scenario: Scenario, scheme: Scheme) -> ClosedLoop:
@@ -120,17 +140,16 @@ class FlightRecord:
         """What the diagnosis published so far."""
         return self._reports.reports
 
-    def note(self, begin: int, output: LoopOutput) -> None:
-        """Note what was put out from a row on, arrays (n, ...)."""
+    def note(self, rows: slice, output: LoopOutput) -> None:
+        """Note what was put out in some rows, arrays (n, ...)."""
         flight, delay = self._flight, self._loop.vehicle.imu.delay
         motion, faulty, said = output.motion, output.faulty, output.said
-        rows = slice(begin, begin + len(output.left))
         flight.angles[rows], flight.body_rate[rows] = motion.angles, motion.body_rate
         flight.disturbance[rows] = motion.disturbance
         if motion.flight is not None:
             flight.position[rows], flight.rotor_speeds[rows] = motion.flight.position, motion.flight.speeds
         came = np.flatnonzero(output.left & faulty.present)
-        taken = begin + came - delay
+        taken = rows.start + came - delay
         faulty, said = rows_of(faulty, came), rows_of(said, came)
         self._note_truth(taken, faulty)
         self._note_estimate(taken, said.estimate.said)

@@ -41,10 +41,10 @@ class BagRecord(FlightRecord):
         super().__init__(loop, epoch_ns, count, watch)
         self._parts: dict[str, list[Columns]] = {}  # by topic; with their rows of the flight
 
-    def note(self, begin: int, output: LoopOutput) -> None:
-        """Note what was put out from a row on, arrays (n, ...)."""
-        super().note(begin, output)
-        first = begin - self._loop.vehicle.imu.delay
+    def note(self, rows: slice, output: LoopOutput) -> None:
+        """Note what was put out in some rows, arrays (n, ...)."""
+        super().note(rows, output)
+        first = rows.start - self._loop.vehicle.imu.delay
         came = np.flatnonzero(output.left & output.faulty.present)
         sample = rows_of(output.faulty.sample, came)
         self._keep("imu/data", first + came, sample._asdict())
