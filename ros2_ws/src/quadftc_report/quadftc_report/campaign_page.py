@@ -18,7 +18,7 @@ from quadftc_model.samples import AXES
 from quadftc_report.campaign_curves import distributions
 from quadftc_report.campaign_map import draw_maps
 from quadftc_report.campaign_results import Floats, Results, Side, known, numbers
-from quadftc_report.confusion import COLUMNS, ROTOR_COLUMNS, confusions
+from quadftc_report.confusion import confusion_tables
 from quadftc_report.page import render_template
 from quadftc_report.wording import NOTHING, counted, duration, period, plain, short
 
@@ -87,12 +87,10 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
         headings=HEADINGS,
         of_faults=OF_FAULTS,
         of_flights=OF_FLIGHTS,
-        confused=confusions((side.name, side.summary.get("confusion_s", {})) for side in sides),
-        said=COLUMNS,
-        confused_rotors=confusions(
-            ((side.name, side.summary.get("rotor_confusion_s", {})) for side in sides), ROTOR_COLUMNS
+        confusion_tables=confusion_tables(
+            (side.name, side.summary.get("confusion_s", {}), side.summary.get("rotor_confusion_s", {}))
+            for side in sides
         ),
-        said_of_rotors=ROTOR_COLUMNS,
         pictures={title: figures for title, figures in pictures.items() if figures},
         worst=[each for each in shown if any(each[2].values())],
         drawn_heads=[_drawn_head(path, drawn, results.frame) for path, drawn in campaign.vary.items()],

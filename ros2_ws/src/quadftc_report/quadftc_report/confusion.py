@@ -12,6 +12,8 @@ from quadftc_report.wording import plain
 
 COLUMNS = tuple(said for said in SAID if said != TIME)
 ROTOR_COLUMNS = tuple(said for said in SAID_OF_ROTORS if said != TIME)
+CAPTION = "Which sensor is named, by the one that is faulty: share of the time of its axes."
+ROTOR_CAPTION = "Whether a rotor, a sensor or nothing is named, by what is faulty: share of the time."
 Times = Mapping[str, Mapping[str, float | Mapping[str, float | None] | None]]  # [s], by fault and claim
 _RIGHT = {"rotor": "faulty_rotor"}  # what is right to say, if it is not the name of what is faulty
 
@@ -31,22 +33,41 @@ class Confusion(NamedTuple):
     rows: Mapping[str, tuple[str, Sequence[Cell]]]
 
 
-def confusions(times: Iterable[tuple[str, Times]], columns: Sequence[str] = COLUMNS) -> list[Confusion]:
-    """Return matrices by their labels and times [s], or times of each axis, by what is faulty and claim.
+class ConfusionTable(NamedTuple):
+    """The matrices of runs or variants, one below the other."""
+
+    id: str  # in the page
+    caption: str
+    columns: Sequence[str]
+    matrices: Sequence[Confusion]
+
+
+def confusion_tables(said: Iterable[tuple[str, Times, Times]]) -> list[ConfusionTable]:
+    """Return the tables of sensors and of rotors, by label and what is said of each, in times [s].
 
     Those without any time are left out, and of rotors those in which none is ever faulty.
     """
-    found: list[Confusion] = []
-    for label, matrix in times:
-        rows: dict[str, tuple[str, Sequence[Cell]]] = {}
-        for true, row in matrix.items():
-            said = {claim: _total(time) for claim, time in row.items()}
-            if time := said[TIME]:
-                cells = [_cell(true, claim, said[claim] / time) for claim in columns]
-                rows[true] = (f"{plain(time)} s", cells)
-        if rows and (columns == COLUMNS or "rotor" in rows):
-            found.append(Confusion(label, rows))
-    return found
+    sensors, rotors = list[Confusion](), list[Confusion]()
+    for label, of_sensors, of_rotors in said:
+        if rows := _rows(of_sensors, COLUMNS):
+            sensors.append(Confusion(label, rows))
+        if "rotor" in (rows := _rows(of_rotors, ROTOR_COLUMNS)):
+            rotors.append(Confusion(label, rows))
+    tables = (
+        ConfusionTable("confusion", CAPTION, COLUMNS, sensors),
+        ConfusionTable("rotor-confusion", ROTOR_CAPTION, ROTOR_COLUMNS, rotors),
+    )
+    return [table for table in tables if table.matrices]
+
+
+def _rows(times: Times, columns: Sequence[str]) -> dict[str, tuple[str, Sequence[Cell]]]:
+    """Return time and cells of each thing that was faulty for some time."""
+    rows: dict[str, tuple[str, Sequence[Cell]]] = {}
+    for true, row in times.items():
+        said = {claim: _total(time) for claim, time in row.items()}
+        if time := said[TIME]:
+            rows[true] = (f"{plain(time)} s", [_cell(true, claim, said[claim] / time) for claim in columns])
+    return rows
 
 
 def _total(time: float | Mapping[str, float | None] | None) -> float:

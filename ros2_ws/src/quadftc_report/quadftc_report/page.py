@@ -26,7 +26,7 @@ from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report import comparison as about
 from quadftc_report.claims import PAPER_SCENARIOS, Judgement, judge
 from quadftc_report.comparison import Comparison, is_ideal, metric
-from quadftc_report.confusion import COLUMNS, ROTOR_COLUMNS, Confusion, confusions
+from quadftc_report.confusion import ConfusionTable, confusion_tables
 from quadftc_report.description import Figure
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
@@ -136,10 +136,7 @@ def render(
         warnings=warnings,
         verdicts=VERDICTS,
         metric_tables=metric_tables,
-        confusion_tables=functools.partial(_confusions, of="sensors", columns=COLUMNS),
-        said=COLUMNS,
-        rotor_confusion_tables=functools.partial(_confusions, of="rotors", columns=ROTOR_COLUMNS),
-        said_of_rotors=ROTOR_COLUMNS,
+        confusion_tables=_confusion_tables,
         setup=_setup,
         folder=folder,
         spec=lambda figure: spec_of(plotly_figure(figure), figure.key),
@@ -188,10 +185,13 @@ def pool_replays(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[list
     return [runs for runs in groups.values() if len(runs) > 1]
 
 
-def _confusions(comparison: Comparison[Recorded], of: str, columns: Sequence[str]) -> list[Confusion]:
-    """Which of the ``sensors`` or ``rotors`` each run names."""
-    times = ((comparison.label(run), metric(run, f"{of}.confusion_s") or {}) for run in comparison.runs)
-    return confusions(times, columns)
+def _confusion_tables(comparison: Comparison[Recorded]) -> list[ConfusionTable]:
+    """Which sensors and rotors each run names."""
+    labels = map(comparison.label, comparison.runs)
+    sensors, rotors = (
+        [metric(run, f"{of}.confusion_s") or {} for run in comparison.runs] for of in ("sensors", "rotors")
+    )
+    return confusion_tables(zip(labels, sensors, rotors, strict=True))
 
 
 def _setup(comparison: Comparison[Recorded]) -> dict[str, Facts]:
