@@ -44,6 +44,8 @@ def mapping(tmp_path):
     [
         (b"", "an empty file"),
         (b"\xff\xd8\xff\xe0\0\x10JFIF", "a JPEG picture"),
+        (b"GIF89a", "a GIF picture"),
+        (b"\x7fELF\x02", "a program or a library (ELF)"),
         (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "a MATLAB file"),
         (bytes(300), "a file of zeros"),
         (bytes(range(1, 200)), "a file that begins with 01 02 03 04 05 06 07 08"),

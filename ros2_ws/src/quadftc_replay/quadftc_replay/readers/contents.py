@@ -23,6 +23,8 @@ NAMES = {  # what people try as well
     b"\x89HDF\r\n\x1a\n": "an HDF5 file (MATLAB 7.3 writes such files, too)",
     b"\xff\xd8\xff": "a JPEG picture",
     b"\x89PNG\r\n\x1a\n": "a PNG picture",
+    b"GIF8": "a GIF picture",
+    b"\x7fELF": "a program or a library (ELF)",
     b"%PDF": "a PDF document",
     b"\x80\x04\x95": "a Python pickle",
     b"\x80\x05\x95": "a Python pickle",
