@@ -1,7 +1,5 @@
 """Proportional-derivative, the least that holds an attitude: a small controller."""
 
-from typing import Any
-
 from quadftc_control.controller import Controller, limited, register
 from quadftc_control.sliding_surface import tracking
 from quadftc_model.arrays import namespace
@@ -20,7 +18,9 @@ class Pd(Controller):
         """Return no state."""
         return ()
 
-    def step(self, state: Any, inputs: ControllerInputs, dt: float) -> tuple[Any, ControllerOutput]:
+    def step(
+        self, state: tuple[()], inputs: ControllerInputs, dt: float
+    ) -> tuple[tuple[()], ControllerOutput]:
         """Compute the torque for a sample."""
         track = tracking(inputs)
         wanted = -self.vehicle.inertia * (self.stiffness * track.x1e + self.damping * track.x1e_dot)

@@ -1,7 +1,5 @@
 """An offset that comes and goes: a small fault."""
 
-from typing import Any
-
 from quadftc_model.arrays import namespace
 from quadftc_model.parameters import parameter
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
@@ -14,7 +12,7 @@ class Flicker(Fault):
     size: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="{channel}", doc="offset")
     period: float = parameter(2.0, unit="s", low=1e-3, doc="time from one offset to the next")
 
-    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+    def step(self, state: tuple[()], inputs: FaultInputs, dt: float) -> tuple[tuple[()], FaultOutput]:
         """Add the offset where it is there."""
         xp = namespace(inputs.value)
         there = inputs.elapsed % self.period < 0.5 * self.period
