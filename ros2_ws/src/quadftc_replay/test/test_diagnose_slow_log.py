@@ -127,6 +127,31 @@ def test_healthy_flight_is_healthy_as_all_of_it_was_judged():
     assert verdict.ending.kind == "in flight"
 
 
+def test_torque_that_the_ground_answers_is_no_lost_rotor():
+    log, rng = fly(seconds=30.0), np.random.default_rng(9)
+    for sensors, rest in ((log.gyros, np.zeros(3)), (log.accelerometers, GRAVITY)):
+        for sensor in sensors.values():
+            down = sensor.time > 20.0
+            sensor.value[down] = rest + 0.003 * rng.standard_normal((down.sum(), 3))
+    assert log.attitude is not None
+    assert log.velocity is not None
+    assert log.rotor_commands is not None
+    for signal, rest in (
+        (log.attitude, [0.0, 0.0, 0.0, 1.0]),
+        (log.velocity, 0.0),
+        *((each, 0.0) for each in log.gps_velocities.values()),
+    ):
+        signal.value[signal.time > 20.0] = rest
+    time, commands = log.rotor_commands
+    asked = 0.04 * np.clip(time - 20.0, 0.0, 3.0)[:, None] * PLACES[:, 0]
+    commands[:] = np.where(
+        time[:, None] > 20.0, np.where(time[:, None] < 27.0, 0.8 * HOVER + asked, 0.0), commands
+    )
+    verdict = judge(log)
+    assert (verdict.findings, verdict.ending.kind) == ((), "landed")
+    assert verdict.flight_s == pytest.approx(19.0, abs=1.0)
+
+
 @pytest.mark.parametrize(("rotor", "share"), sampled([0, 3], [0.4, 1.0], every=3))
 def test_rotor_that_loses_thrust_is_the_first_cause(rotor: int, share: float):
     verdict = judge(fly(lost=(rotor, share), seconds=ONSET + 3.0))

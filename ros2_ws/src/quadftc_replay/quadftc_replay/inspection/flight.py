@@ -1,14 +1,15 @@
 """A log made ready for the tests: its main gyro, and when the vehicle flies.
 
 Phases come from the rotors (speeds, else commands) or the thrust command: a vehicle flies while they are
-above a share of their usual level. An impact in the last seconds ends a flight. Where none of them is logged,
-or the level tells nothing, phases are not known, and the whole log counts.
+above a share of their usual level, unless the ground holds it. Then they give less than its weight, and the
+accelerometer feels all of it. An impact in the last seconds ends a flight. Where none of them is logged, or
+the level tells nothing, phases are not known, and the whole log counts.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ CRASH = 3.0  # s; after an impact, at which the vehicle lies still
 BEFORE_IMPACT = 0.3  # s
 AFTER_IMPACT = 0.1  # s; around which nothing is judged
 STILL = 0.05  # rad/s; scatter of a gyro of a vehicle that lies still
+HELD = 0.1  # 1; share of its weight that the ground holds
 RESTS = 2.0  # s; of a stretch at rest
 
 
@@ -51,6 +53,7 @@ class Flight:
     impacts: Floats  # times [s]
     rate_is_estimated: bool  # no gyro is logged: `gyro` is the vehicle's own estimate
     crash: float | None  # time of the impact that ends the flight [s]
+    lifts_off: bool  # whether it flies at all, as far as anybody knows
 
     @functools.cached_property
     def gyro(self) -> tuple[str, Signal] | None:
@@ -98,15 +101,19 @@ def prepare(log: FlightLog) -> Flight:
     """Find the phases of a log."""
     impacts = _find_impacts(log)
     level = rotor_level(log)
-    intervals = () if level is None else _find_flights(level, log.end)
+    turning = [] if level is None else _turning(level)
+    intervals = () if level is None else _flown(level, log.end, _off_the_ground(log, level, turning))
     known = bool(intervals)
+    if level is not None and not known:
+        intervals = _flown(level, log.end, turning)
     crash = _crash(log, impacts, intervals[-1].start if intervals else 0.0)
     if crash is not None:
         cut = (Interval(start, min(end, crash - BEFORE_IMPACT)) for start, end in intervals)
         intervals = tuple(each for each in cut if each.end > each.start)
     whole = (Interval(0.0, log.end if crash is None else crash - BEFORE_IMPACT),)
     has_gyro = any(len(each) > 1 for each in log.gyros.values())
-    return Flight(log, intervals or whole, known, impacts, not has_gyro and log.body_rate is not None, crash)
+    is_estimated = not has_gyro and log.body_rate is not None
+    return Flight(log, intervals or whole, known, impacts, is_estimated, crash, known or not intervals)
 
 
 def _crash(log: FlightLog, impacts: Floats, start: float) -> float | None:
@@ -159,23 +166,89 @@ def _find_impacts(log: FlightLog) -> Floats:
     return np.unique(np.concatenate(found))
 
 
-def _find_flights(level: Signal, end: float) -> tuple[Interval, ...]:
-    time, values = level.time, np.nan_to_num(level.value[:, 0])
-    period = float(np.median(np.diff(time)))
-    smooth = ndimage.uniform_filter1d(values, max(1, round(SMOOTH / period)))
+def _turning(level: Signal) -> list[Interval]:
+    """Stretches, long enough for a flight, in which the rotors are above a share of their usual level."""
+    time, smooth = level.time, _smooth(level)[:, 0]
     turning = smooth[smooth > SPINNING * smooth.max()] if smooth.max() > 0.0 else smooth[:0]
     if not len(turning):
-        return ()
-    up = smooth > FLYING * float(np.median(turning))
+        return []
     found: list[Interval] = []
-    for run in runs_of(up):
+    for run in runs_of(smooth > FLYING * float(np.median(turning))):
         first, last = float(time[run.start]), float(time[run.stop - 1])
         if found and first - found[-1].end < BRIDGED:
             found[-1] = Interval(found[-1].start, last)
         else:
             found.append(Interval(first, last))
-    trimmed = (_trim(each, float(time[0]), min(end, float(time[-1]))) for each in found)
+    return [each for each in found if each.end - each.start >= SHORTEST]
+
+
+def _flown(level: Signal, end: float, flights: Iterable[Interval]) -> tuple[Interval, ...]:
+    """Flights without take-off and landing; those that are long enough."""
+    first, last = float(level.time[0]), min(end, float(level.time[-1]))
+    trimmed = (_trim(each, first, last) for each in flights)
     return tuple(each for each in trimmed if each.end - each.start >= SHORTEST)
+
+
+def _smooth(signal: Signal) -> Floats:
+    """Means over `SMOOTH` (n, k)."""
+    count = max(1, round(SMOOTH * signal.rate))
+    return np.asarray(ndimage.uniform_filter1d(np.nan_to_num(signal.value), count, axis=0), np.float64)
+
+
+def _off_the_ground(log: FlightLog, level: Signal, flights: Sequence[Interval]) -> Iterator[Interval]:
+    """Leave out where the ground holds a vehicle whose rotors turn fast, before take-off and after landing.
+
+    It lies still and feels its weight, and the rotors' level (n, 1) is too low for that. The level that
+    carries it is that of the moments next to it in which it moves.
+    """
+    force = next((each for each in log.accelerometers.values() if len(each) > 1), None)
+    if force is None:
+        yield from flights
+        return
+    time, shares = level.time, _smooth(level)[:, 0]
+    weight = np.linalg.norm(Signal(force.time, _smooth(force)).at(time), axis=1) / STANDARD_GRAVITY
+    still = _lies_still(log, time) & (np.abs(weight - 1.0) < HELD)
+    count = max(1, round(CRASH * level.rate))
+    for each in flights:
+        inside = (time >= each.start) & (time <= each.end)
+        moving = shares[inside & ~still]
+        begins, ends = each.start - time[0] >= 1.0, time[-1] - each.end >= 1.0
+        if len(moving) < BRIDGED * level.rate:
+            if not (begins or ends):  # all that is logged may be a hover in calm air
+                yield each
+            continue
+        first, last = (
+            runs_of(inside & ~(still & (shares < (weight - HELD) * float(np.median(near)))))
+            for near in (moving[:count], moving[-count:])
+        )
+        # it lifts off where it is first held no more, and touches down where it feels most before it is held
+        lift = next((float(time[run.start]) for run in first if _lasts(time, run)), each.end)
+        left = next((float(time[run.stop - 1]) for run in reversed(last) if _lasts(time, run)), lift)
+        end = each.end if left >= each.end else _touches_down(force, left)
+        yield Interval(lift if begins else each.start, end)
+
+
+def _lies_still(log: FlightLog, time: Floats) -> Mask:
+    """Whether all gyros that are alive turn next to nothing about roll and pitch at each time (n,)."""
+    gyros = [each for each in (*log.gyros.values(), log.body_rate) if each is not None and len(each) > 1]
+    still = np.full(len(time), bool(gyros))
+    for each in gyros:
+        rates: Floats = np.nan_to_num(each.value[:, :2])  # zero on average, as yaw need not be
+        square = _smooth(Signal(each.time, (rates - np.median(rates, axis=0)) ** 2))
+        scatter = np.sqrt(np.clip(Signal(each.time, square).at(time), 0.0, None)).max(axis=1)
+        still &= (scatter > 0.0) & (scatter < STILL)
+    return still
+
+
+def _touches_down(force: Signal, left: float) -> float:
+    """Return when the specific force is farthest from gravity shortly before a time [s]."""
+    near = slice(*np.searchsorted(force.time, (left - CRASH, left)))
+    shock = np.abs(np.linalg.norm(np.nan_to_num(force.value[near]), axis=1) - STANDARD_GRAVITY)
+    return float(force.time[near][np.argmax(shock)]) if len(shock) else left
+
+
+def _lasts(time: Floats, run: slice) -> bool:
+    return bool(time[run.stop - 1] - time[run.start] > BRIDGED)
 
 
 def _trim(flight: Interval, first: float, last: float) -> Interval:

@@ -52,6 +52,8 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
     log = flight.log
     if log.rotor_speeds is None and log.rotor_commands is None and log.torque_command is None:
         return Rotors([], None, False, [_not_judged("neither rotor commands nor speeds are logged")])
+    if not flight.lifts_off:
+        return Rotors([], None, False, [_not_judged("the ground holds the vehicle whenever the rotors turn")])
     has_rotors = log.rotor_speeds is not None or log.rotor_commands is not None
     torque, model = torque_of(flight), None
     if torque is None:
