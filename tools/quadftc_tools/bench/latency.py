@@ -82,22 +82,16 @@ def measure_latency(
         parameters = node_parameters(scenario, scheme)
         how = {"scheduling": options.scheduling, "engine": options.engine}
         plan = GraphPlan(parameters, "realtime", **paths, **how)
-        going_on, processes = True, options.graph == "processes"
-
-        def follow(samples: int) -> bool:
-            nonlocal going_on
-            going_on = progress(samples)
-            return going_on
-
+        processes = options.graph == "processes"
         chosen = ProcessGraph(plan) if processes else ComposedGraph(plan, executor=options.executor)
         with chosen as graph:
-            if not graph.wait_until_connected(follow):
+            if not graph.wait_until_connected(progress):
                 return None
             usage = Usage(_processes(graph))
-            wall_time = graph.run(follow)
+            wall_time = graph.run(progress)
             taken = usage.taken(wall_time)
             recorded = None if graph.recorder is None else graph.recorder.finish()
-        if not going_on:
+        if not graph.flew_to_its_end:
             return None
         found = {node: load_trace(traces / f"{node}.npz") for node in plan.executables}
     result = latencies(found, scenario.rate)

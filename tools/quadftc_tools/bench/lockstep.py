@@ -51,16 +51,10 @@ def measure_lockstep(
         fly(scenario, scheme, engine=engine)
         wall_time, busy = time.monotonic() - begin, time.process_time() - busy
     else:
-        going_on = True
-
-        def follow(samples: int) -> bool:
-            nonlocal going_on
-            going_on = progress(samples)
-            return going_on
-
-        wall_time, busy = _graph_times(node_parameters(scenario, scheme), form, engine, follow)
-        if not going_on:
+        times = _graph_times(node_parameters(scenario, scheme), form, engine, progress)
+        if times is None:
             return None
+        wall_time, busy = times
     samples = scenario.duration * scenario.rate
     return {
         "form": form,
@@ -75,16 +69,17 @@ def measure_lockstep(
 
 
 def _graph_times(
-    parameters: Mapping[str, NodeParameters], form: str, engine: str, follow: Callable[[int], bool]
-) -> tuple[float, float]:
-    """Fly the graph in this process; wall and processor time [s]."""
+    parameters: Mapping[str, NodeParameters], form: str, engine: str, progress: Callable[[int], bool]
+) -> tuple[float, float] | None:
+    """Fly the graph in this process; wall and processor time [s], None if ``progress`` ended it."""
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         bag = Path(folder, "bag") if form == RECORDING else None
         plan = GraphPlan(parameters, "lockstep", bag=bag, engine=engine)
         with ComposedGraph(plan, executor="single" if form == SINGLE else "events") as graph:
             graph.wait_until_connected()
             busy = time.process_time()
-            return graph.run(follow), time.process_time() - busy
+            wall_time = graph.run(progress)
+            return (wall_time, time.process_time() - busy) if graph.flew_to_its_end else None
 
 
 def lockstep_table(results: Sequence[Result]) -> Table:

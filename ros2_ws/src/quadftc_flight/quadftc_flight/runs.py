@@ -104,15 +104,8 @@ def run(
 
 def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tuple[float | None, BagStatus]:
     """Fly and record; return the wall time [s], None if ``progress`` ended the flight, and the recording."""
-    going_on = True
-
-    def follow(count: int) -> bool:
-        nonlocal going_on
-        going_on = progress(min(1.0, count / samples))
-        return going_on
-
     with GRAPHS[kind](plan) as graph:
-        wall_time = graph.run(follow)
+        wall_time = graph.run(lambda count: progress(min(1.0, count / samples)))
         recorder = graph.recorder
         assert recorder is not None  # the plan has a bag
-        return (wall_time if going_on else None), recorder.finish()
+        return (wall_time if graph.flew_to_its_end else None), recorder.finish()

@@ -93,8 +93,8 @@ class ComposedGraph(Graph):
             with settled_memory(), scheduled(scheduling):
                 for plant in plants:
                     plant.start()
-                wall, to_its_end = self._follow(spin, progress, "no torque/command came for the last")
-                if to_its_end:
+                wall = self._follow(spin, progress, "no torque/command came for the last")
+                if self.flew_to_its_end:
                     spin(AFTERMATH)  # what follows from the last sample is on its way
         except SchedulingError as error:
             raise GraphError(str(error)) from None

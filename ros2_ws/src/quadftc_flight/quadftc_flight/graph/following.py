@@ -28,6 +28,7 @@ class Graph(NodeHost, abc.ABC):
         self.exit_code = 0  # the worst of the processes, once they were stopped
         self._slice = Slice(self._executor)
         self._begun = False  # whether there is anything to be kept
+        self.flew_to_its_end = False  # and `progress` did not end the flight
         self._watchers: list[tuple[Node, PlantKind]] = []  # a node of each vehicle, and what it flies
 
     @abc.abstractmethod
@@ -100,8 +101,8 @@ class Graph(NodeHost, abc.ABC):
             self._check_alive()
         return time.monotonic() - begin
 
-    def _follow(self, spin: Callable[[float], None], progress: Progress, stalled: str) -> tuple[float, bool]:
-        """Spin until the flight is over; return its wall time [s], and whether ``progress`` let it end."""
+    def _follow(self, spin: Callable[[float], None], progress: Progress, stalled: str) -> float:
+        """Spin until the flight is over, or ``progress`` ends it; return its wall time [s]."""
         begin, self._begun = time.monotonic(), True
         moved = begin
         over, seen = self._state()
@@ -111,10 +112,11 @@ class Graph(NodeHost, abc.ABC):
             over, samples = self._state()
             now = time.monotonic()
             if not progress(samples):
-                return now - begin, False
+                return now - begin
             if samples != seen:
                 seen, moved = samples, now
             elif now - moved > STALL_TIMEOUT:
                 raise GraphError(f"the flight stalled after {samples} samples: {stalled}")
+        self.flew_to_its_end = True
         # a slice goes on after the flight: where the plant is in this process, its last sample is the end
-        return (self._slice.looked or time.monotonic()) - begin, True
+        return (self._slice.looked or time.monotonic()) - begin

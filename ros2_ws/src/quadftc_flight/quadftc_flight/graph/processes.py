@@ -124,8 +124,8 @@ class ProcessGraph(Graph):
             self._flying = True
             self._begin_flight()
             stalled = f"no new sample of the plant for {STALL_TIMEOUT:g} s"
-            wall, to_its_end = self._follow(self._slice.spin, progress, stalled)
-            if to_its_end and self.recorder is not None:
+            wall = self._follow(self._slice.spin, progress, stalled)
+            if self.flew_to_its_end and self.recorder is not None:
                 self._drain(self.recorder)
         return wall
 
