@@ -30,8 +30,6 @@ from quadftc_flight.fault_schedule import (
 )
 from quadftc_flight.flight import Flight, flight_from_bag, has_messages
 from quadftc_flight.run_directory import (
-    NO_PARAMETERS,
-    PARAMETERS,
     SCENARIO,
     WANTED,
     MissingPartError,
@@ -39,7 +37,7 @@ from quadftc_flight.run_directory import (
     RecordedRun,
     attached_text,
     is_replay,
-    parse_parameters,
+    read_parameters,
     run_name,
     versions_of,
     without_messages,
@@ -105,7 +103,7 @@ def is_live(bag: Bag) -> bool:
 def live_run(bag: Bag) -> LiveRun:
     """Make what can be made of a flight without a scenario; BagError if a part of it is not known here."""
     warnings = [f"{bag.path}: recorded live, without a scenario: faults are those on fault/injected"]
-    parameters = _parameters(bag, warnings)
+    parameters = read_parameters(bag, "vehicle and parts are taken for the nodes' defaults", warnings)
     flight = flight_from_bag(bag)
     scenario = _scenario(bag, parameters, flight)
     events, of_rotors = (with_kinds(bag, found) for found in (events_of(flight), rotor_events_of(flight)))
@@ -207,17 +205,6 @@ def _spans(time: Floats, there: NDArray[np.bool_]) -> list[tuple[float, float]]:
 def _period(time: Floats) -> float:
     """Return the usual time between two samples [s]."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 0.01
-
-
-def _parameters(bag: Bag, warnings: list[str]) -> Parameters:
-    text = attached_text(bag, PARAMETERS)
-    if text is not None:
-        try:
-            return parse_parameters(text)
-        except NO_PARAMETERS:
-            warnings.append(f"{bag.path}: {PARAMETERS} makes no sense")
-    warnings.append(f"{bag.path}: no {PARAMETERS}: vehicle and parts are taken for the nodes' defaults")
-    return {}
 
 
 def _scenario(bag: Bag, parameters: Parameters, flight: Flight) -> Scenario:

@@ -121,7 +121,7 @@ def run_from_bag(bag: Bag) -> RecordedRun:
     stored = read_summary(beside(bag.path, SUMMARY))
     name, warnings = run_name(bag.path), list[str]()
     # what was flown: parameters that are lost are compiled from the scenario
-    parameters: Parameters = _read_parameters(bag, warnings)
+    parameters: Parameters = read_parameters(bag, "took the parameters that the scenario gives", warnings)
     scenario = _read_scenario(bag, parameters)
     scheme = _find_scheme(scenario, parameters, (str(stored.data.get("scheme", "")), name), bag.path)
     if "name" not in scenario.raw:  # then it was the file's
@@ -183,6 +183,18 @@ def parse_parameters(text: str) -> Parameters:
     }
 
 
+def read_parameters(bag: Bag, instead: str, warnings: list[str]) -> Parameters:
+    """Read the parameters of a bag; without any, a warning says what was done ``instead``."""
+    text, problem = attached_text(bag, PARAMETERS), "is missing"
+    try:
+        if text is not None:
+            return parse_parameters(text)
+    except NO_PARAMETERS:
+        problem = "makes no sense"
+    warnings.append(f"{bag.path}: {PARAMETERS} {problem}; {instead}")
+    return {}
+
+
 def without_messages(bag: Bag, topics: Iterable[str]) -> list[str]:
     """Return those of the topics, relative to a namespace, that have no message."""
     return [topic for topic in topics if not has_messages(bag, topic)]
@@ -233,17 +245,6 @@ def _require_run(bag: Bag) -> None:
         what = "cut short before it holds a run" if bag.truncated else "no run or replay of quadftc"
         there = f"topics with messages there: {topics_text(bag)}{bag.remedy}"
         raise BagError(f"{bag.path}: {what}: missing {' and '.join(missing)}; {there}")
-
-
-def _read_parameters(bag: Bag, warnings: list[str]) -> Parameters:
-    text, problem = attached_text(bag, PARAMETERS), "is missing"
-    try:
-        if text is not None:
-            return parse_parameters(text)
-    except NO_PARAMETERS:
-        problem = "makes no sense"
-    warnings.append(f"{bag.path}: {PARAMETERS} {problem}; took the parameters that the scenario gives")
-    return {}
 
 
 def _read_scenario(bag: Bag, parameters: Parameters) -> Scenario:

@@ -338,7 +338,7 @@ def test_flight_of_a_vehicle_without_truth_is_read_as_far_as_it_goes(tmp_path, s
     assert run.fault_events == ()
     assert run.summary["metrics"]["tracking_rmse_deg"]["roll"] is None
     assert "no message on plant/attitude, plant/rate, fault/injected" in run.warnings[-1]
-    assert "no parameters.yaml" in run.warnings[1]
+    assert "parameters.yaml is missing; vehicle and parts are taken" in run.warnings[1]
 
 
 def test_run_with_its_scenario_and_a_foreign_imu_are_not_live(tmp_path, recorded, scenario, flight):
