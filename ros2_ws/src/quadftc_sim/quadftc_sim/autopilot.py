@@ -6,6 +6,7 @@ left, up.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -24,11 +25,17 @@ MakeInjector = Callable[[], FaultInjector]
 
 NED_OF_ENU = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])  # x, y, z, w: half a turn about north-east
 FLU_OF_FRD = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about the nose
+DEGREE = 111318.84502145034  # m of latitude, as ArduPilot's Location has it
 
 
 def to_ned(vector: Vector) -> Vector:
     """A vector (3,) along east, north, up, along north, east, down."""
     return np.array([vector[1], vector[0], -vector[2]])
+
+
+def to_degrees(home: Sequence[float], east: float, north: float) -> tuple[float, float]:
+    """Latitude and longitude [deg] of a place [m] from a home, whose first two numbers are its own."""
+    return home[0] + north / DEGREE, home[1] + east / (DEGREE * math.cos(math.radians(home[0])))
 
 
 def to_frd(vector: Vector) -> Vector:

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_control.trajectory import combined
 from quadftc_model.samples import PositionReference
-from quadftc_sim.autopilot import to_ned
+from quadftc_sim.autopilot import to_degrees, to_ned
 from quadftc_sitl.commander import COMES_DOWN, RETRY, TRIES, Commander, Steps
 from quadftc_sitl.firmware import SitlError
 from quadftc_sitl.guardian import Decision
@@ -22,7 +22,6 @@ from quadftc_sitl.journal import Journal
 from quadftc_sitl.link import MULTIROTORS, MavlinkLink
 from quadftc_sitl.plan import OwnFault, SitlPlan
 
-DEGREE = 111318.84502145034  # m of latitude, as ArduPilot's Location has it
 TICK = 0.02  # s; between two steps
 SETPOINTS = 0.1  # s; between two setpoints
 TO_SPEAK, TO_BE_READY, TO_ARM, TO_CLIMB, TO_LAND = (
@@ -216,9 +215,7 @@ class Pilot(Commander):
             place = combined(self._trajectories, number * WAYPOINT_PERIOD).position
             if math.dist(place, places[-1]) > WAYPOINT_DISTANCE:
                 places.append(place)
-        latitude, longitude, _ = self.HOME
-        east = DEGREE * math.cos(math.radians(latitude))
-        return [(latitude + y / DEGREE, longitude + x / east, float(z)) for x, y, z in places]
+        return [(*to_degrees(self.HOME, x, y), float(z)) for x, y, z in places]
 
     def _follow(self) -> Steps:
         """Follow the trajectories to the end of the mission, and put its own faults on and off."""

@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_model.arrays import Vector
 from quadftc_model.samples import ImuSample, PositionSample
-from quadftc_sim.autopilot import AutopilotPhysics, speeds_of_shares, to_frd, to_ned
+from quadftc_sim.autopilot import AutopilotPhysics, speeds_of_shares, to_degrees, to_frd, to_ned
 from quadftc_sim.barometer import pressure_height, standard_pressure
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.simulator import Emission, Simulator
@@ -29,7 +29,6 @@ from quadftc_sitl.autopilot import Server
 from quadftc_sitl.firmware import Firmware, SitlError
 
 HOME = (47.397742, 8.545594, 488.0)  # latitude, longitude [deg], height [m]; PX4's usual field, in Zurich
-DEGREE = 111318.84502145034  # m of latitude
 BOOT = 1.0  # s on its clock at our first sample; 0 means "unset"
 IMU_FIELDS = 0b111111  # of HIL_SENSOR's fields_updated: accelerometer and gyro
 FIELD_FIELDS, PRESSURE_FIELDS = 0b111000000, 0b1101000000000
@@ -116,9 +115,11 @@ class PX4Physics(AutopilotPhysics):
         """Write what the position sensor says."""
         east, north, up = map(float, place.position)
         velocity = 1e2 * to_ned(place.velocity)
-        width = DEGREE * math.cos(math.radians(HOME[0]))
-        degrees = HOME[0] + north / DEGREE, HOME[1] + east / width
-        where = *(round(1e7 * each) for each in degrees), round(1e3 * (HOME[2] + up)), *ACCURACY
+        where = (
+            *(round(1e7 * each) for each in to_degrees(HOME, east, north)),
+            round(1e3 * (HOME[2] + up)),
+            *ACCURACY,
+        )
         speeds = round(math.hypot(velocity[0], velocity[1])), *map(round, velocity)
         heading = round(1e2 * course(velocity))
         message = self._mavlink.hil_gps_encode(stamp, FIX_3D, *where, *speeds, heading, SATELLITES)
