@@ -69,8 +69,3 @@ def px4_full_torque(vehicle: Vehicle) -> Vector:
 def px4_torque(torque: Vector, full_torque: Vector, limit: float = 1.0) -> Vector:
     """``xyz`` of VehicleTorqueSetpoint (..., 3): a torque [N m], FLU, over the full one, within a limit."""
     return clip(flu_from_frd(torque) / full_torque, -limit, limit)
-
-
-def px4_thrust(thrust: Scalar, vehicle: Vehicle, limit: float = 1.0) -> Scalar:
-    """``xyz[2]`` of VehicleThrustSetpoint (...): minus a thrust [N] over that of all rotors at full speed."""
-    return -clip(thrust / vehicle.thrust_max, 0.0, limit)

@@ -51,9 +51,7 @@ def page_rows(vehicle: Vehicle) -> list[Row]:
     trim_speed = float(propeller_speeds(vehicle, np.array(rotors.command_trim)))
     return [
         Row("mass", f"{vehicle.mass:g} kg", f"weight {vehicle.weight:.3g} N"),
-        Row(
-            "rotors", str(len(rotors.positions)), f"{_reach(vehicle):.3g} m from the centre to the outermost"
-        ),
+        Row("rotors", str(len(rotors.positions)), f"{vehicle.reach:.3g} m from the centre to the outermost"),
         Row("thrust to weight", f"{vehicle.thrust_to_weight:.2f}", _tilt(vehicle)),
         Row(
             "hover speed",
@@ -98,9 +96,9 @@ def warnings(vehicle: Vehicle) -> Iterator[str]:
         yield f"rotor lag {rotors.time_constant:.3g} s: slow for attitude control (docs/robustness.md)"
     if (yaw := float(vehicle.authority[2] / vehicle.inertia[2])) < SLOW_YAW:
         yield f"yaw can be turned by {yaw:.2g} rad/s² only"
-    gyration = np.sqrt(vehicle.inertia[:2] / vehicle.mass) / _reach(vehicle)
+    gyration = np.sqrt(vehicle.inertia[:2] / vehicle.mass) / vehicle.reach
     if np.any(gyration < USUAL_GYRATION[0]) or np.any(gyration > USUAL_GYRATION[1]):
-        low, high = (vehicle.mass * (share * _reach(vehicle)) ** 2 for share in USUAL_GYRATION)
+        low, high = (vehicle.mass * (share * vehicle.reach) ** 2 for share in USUAL_GYRATION)
         shown = ", ".join(f"{each:.3g}" for each in vehicle.inertia[:2])
         yield f"inertia {shown} kg m² about x, y: usual for this mass and size are {low:.2g} to {high:.2g}"
     if not np.any(vehicle.aerodynamics.drag_area) and vehicle.aerodynamics.rotor_drag == 0.0:
@@ -122,11 +120,6 @@ def plan(vehicle: Vehicle) -> list[str]:
         begin = min(column, WIDTH - len(word))
         grid[row][begin : begin + len(word)] = word
     return ["".join(row).rstrip() for row in grid]
-
-
-def _reach(vehicle: Vehicle) -> float:
-    """Distance of the outermost rotor from the centre [m]."""
-    return float(np.max(np.linalg.norm(vehicle.rotors.positions, axis=1)))
 
 
 def _tilt(vehicle: Vehicle) -> str:

@@ -9,7 +9,6 @@ from quadftc_model.autopilots import (
     ardupilot_imu,
     px4_full_torque,
     px4_imu,
-    px4_thrust,
     px4_torque,
     tilt_disagreement,
 )
@@ -86,7 +85,7 @@ def test_setpoint_of_px4_becomes_the_torque_that_was_asked_for(name):
     wanted, thrust = np.array([0.03, -0.02, 0.004]) * full * vehicle.rotors.positions.max(), 2.0 * full
     setpoint = np.zeros(6)
     setpoint[:3] = px4_torque(wanted, px4_full_torque(vehicle))
-    setpoint[5] = px4_thrust(thrust, vehicle)
+    setpoint[5] = -thrust / vehicle.thrust_max
     commands = mix @ setpoint  # of full thrust
     assert np.allclose(flu_from_frd(effect @ commands), wanted)
     assert np.sum(commands) * full == pytest.approx(thrust)
