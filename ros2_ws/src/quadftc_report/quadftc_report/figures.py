@@ -35,7 +35,7 @@ from quadftc_report.comparison import Comparison, has_observer
 from quadftc_report.description import Band, Figure, Panel, Trace
 from quadftc_report.position_figures import position_figures
 from quadftc_report.rotor_figures import rotor_figures
-from quadftc_report.scene import Scene, column_of, envelope, known, worth
+from quadftc_report.scene import Scene, envelopes, known, worth
 
 Floats = NDArray[np.float64]
 
@@ -92,12 +92,8 @@ def _faults(scene: Scene[Recorded]) -> Iterator[Figure]:
         if not worth(*(trace.y for trace in (*truth, *estimates))):
             continue
         errors = scene.lines(runs, "fault_estimate", axis, "estimate", less="fault")
-        deviations = [column_of(run, "fault_std_dev", axis) for run in runs]
-        given = [
-            (line, each) for line, each in zip(estimates, deviations, strict=True) if np.any(each >= 0.0)
-        ]
-        around = tuple(envelope(line, line.y, each) for line, each in given)
-        around_zero = tuple(envelope(line, 0.0, each) for line, each in given)
+        around = envelopes(estimates, runs, "fault_std_dev", axis)
+        around_zero = envelopes(estimates, runs, "fault_std_dev", axis, about_zero=True)
         look = {"title": "fault", "envelopes": around, "height": UPPER}
         upper = scene.panel(axis, [*truth, *estimates], "fault", "deg", **look)
         lower = scene.panel(axis, errors, "", "deg", **ERROR, envelopes=around_zero)

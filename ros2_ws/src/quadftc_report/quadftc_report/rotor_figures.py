@@ -11,7 +11,7 @@ from quadftc_flight.run_directory import RecordedRun
 from quadftc_model.samples import FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
 from quadftc_report.comparison import has_observer
 from quadftc_report.description import Figure, Panel
-from quadftc_report.scene import Scene, column_of, envelope, known, rotor_shades
+from quadftc_report.scene import Scene, envelopes, known, rotor_shades
 
 
 def rotor_figures(scene: Scene[RecordedRun]) -> Iterator[Figure]:
@@ -32,9 +32,7 @@ def _effectiveness(scene: Scene[RecordedRun], flying: list[RecordedRun], runs: l
     for rotor in range(flying[0].flight.rotor_state.shape[1]):
         truth = scene.truth(runs or flying, "rotor_effectiveness", rotor, "true effectiveness")
         lines = scene.lines(runs, "rotor_estimate", rotor, "estimate")
-        deviations = [column_of(run, "rotor_std_dev", rotor) for run in runs]
-        pairs = [(line, each) for line, each in zip(lines, deviations, strict=True) if np.any(each >= 0.0)]
-        around = tuple(envelope(line, line.y, each) for line, each in pairs)
+        around = envelopes(lines, runs, "rotor_std_dev", rotor)
         look = _look(scene, flying[0], rotor)
         panels.append(scene.panel(0, [*truth, *lines], "", "", envelopes=around, **look))
     caption = "Thrust of each rotor over that of a healthy one at the same speed, and its estimate"

@@ -110,10 +110,22 @@ def worth(*columns: Floats) -> bool:
     return any(bool(np.any(np.abs(column) > _NOTHING)) for column in columns)
 
 
-def envelope(line: Trace, center: Floats | float, deviation: Floats) -> Envelope:
-    """Return two standard deviations either side of a line; a gap where the observer gives none."""
-    half = np.where(deviation >= 0.0, _SIGMAS * deviation, np.nan)
-    return Envelope(f"{line.name} ±{_SIGMAS:g}σ", line.role, line.t, center - half, center + half, line.rank)
+def envelopes(
+    lines: Sequence[Trace], runs: Sequence[Recorded], column: str, axis: int, about_zero: bool = False
+) -> tuple[Envelope, ...]:
+    """Return two standard deviations, a ``column`` of each run, either side of its line or of zero.
+
+    There is a gap where the observer gives none, and no envelope where it never does.
+    """
+    found: list[Envelope] = []
+    for line, run in zip(lines, runs, strict=True):
+        deviation = column_of(run, column, axis)
+        half = np.where(deviation >= 0.0, _SIGMAS * deviation, np.nan)
+        if known(half):
+            center = np.zeros_like(line.y) if about_zero else line.y
+            name = f"{line.name} ±{_SIGMAS:g}σ"
+            found.append(Envelope(name, line.role, line.t, center - half, center + half, line.rank))
+    return tuple(found)
 
 
 def fault_shades(run: Recorded, axis: int, end: float) -> tuple[Shade, ...]:
