@@ -20,7 +20,7 @@ SUFFICES = 0.7  # probability of a finding that is a cause
 SLACK = 0.6  # s; tests over windows see what begins so much earlier
 AT_ONCE = 0.1  # s
 RECOVERED = 5.0  # s; after a fault that ended, within which estimators find back
-FACTS = ("stuck", "absent", "brownout")  # kinds that no motion makes
+FACTS = ("absent", "brownout")  # kinds that no motion makes; readings that are stuck say so themselves
 NAVIGATION = ("magnetometer", "barometer", "gps")
 # component: what goes wrong after it, besides
 FOLLOWS = {
@@ -58,12 +58,14 @@ def first_cause(
     for each in left:
         finding = each.finding
         is_late = ending.kind == "out of control" and finding.onset_s > ending.time_s
-        out = is_late and finding.kind not in FACTS
+        out = is_late and not _is_fact(each)
         is_reset = finding.component == "attitude" and any(
             abs(event.time - finding.onset_s) < RESET and any(word in event.text for word in RESETS)
             for event in events
         )
-        follows_one = not each.is_direct and any(_follows(finding, cause.finding) for cause in causes)
+        follows_one = not (each.is_direct or _is_fact(each)) and any(
+            _follows(finding, cause.finding) for cause in causes
+        )
         explained = out or is_reset or follows_one
         (follows if explained else causes).append(_as_said(each, events))
     return causes, follows
@@ -100,19 +102,26 @@ def _as_said(found: Found, events: Sequence[Event]) -> Found:
     return found
 
 
+def _is_fact(found: Found) -> bool:
+    """Whether readings repeat or stop."""
+    kind = found.finding.kind
+    return kind in FACTS or (kind == "stuck" and found.is_direct)
+
+
 def _rank(found: Found) -> tuple[bool, float]:
     """Order of causes: those that suffice, by onset; at once, those first that others follow from."""
     finding = found.finding
-    is_fact = found.is_direct or finding.kind in FACTS
     component = finding.component.split()[0]
     order = LATER.get(component, 0.0)
-    if is_fact:  # tests by the velocity of satellites see what happens to it within their window
+    if found.is_direct or _is_fact(
+        found
+    ):  # tests by the velocity of satellites see what happens to it within their window
         order = -SLACK if component == "gps" else 0.0
     return finding.probability < SUFFICES, finding.onset_s + order
 
 
 def _follows(finding: Finding, cause: Finding) -> bool:
-    if finding.kind in FACTS or cause.probability < SUFFICES:
+    if cause.probability < SUFFICES:
         return False
     if finding.component == cause.component and abs(finding.onset_s - cause.onset_s) < AT_ONCE:
         return False  # several elements of one sensor

@@ -12,7 +12,7 @@ attitude has jumped, which the gyro does not follow, or the field itself is anot
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -75,10 +75,25 @@ def _field_of(flight: Flight, sensor: Signal) -> Field | None:
     currents = level[:, None, None] * np.eye(3)
     columns = np.concatenate([turned, currents], axis=2)  # (n, 3, 6)
     moved = np.any(np.diff(value, axis=0) != 0.0, axis=1)  # what repeats its reading says nothing
-    known, sigma = _fit(np.diff(columns, axis=0)[moved].reshape(-1, 6), np.diff(value, axis=0)[moved].ravel())
+    turns, changes = np.diff(columns, axis=0)[moved], np.diff(value, axis=0)[moved]
+    known, sigma = _fit(turns.reshape(-1, 6), changes.ravel())
     expected = columns @ known
     size = float(np.nanmedian(np.linalg.norm(value, axis=1)))
-    return Field(Signal(time, value - expected), size, known[3:], sigma[3:], expected)
+    currents = _least(
+        [_fit(turns[half].reshape(-1, 6), changes[half].ravel())[0][3:] for half in _halves(turns)]
+    )
+    return Field(Signal(time, value - expected), size, currents, sigma[3:], expected)
+
+
+def _halves(rows: Floats) -> tuple[slice, slice]:
+    middle = len(rows) // 2
+    return slice(middle), slice(middle, None)
+
+
+def _least(currents: Sequence[Floats]) -> Floats:
+    """What currents add in each part of a flight (3,): a wrong attitude seems to add in one alone."""
+    signs = np.sign(currents).sum(axis=0)
+    return np.where(np.abs(signs) == len(currents), np.sign(signs) * np.min(np.abs(currents), axis=0), 0.0)
 
 
 def _level(flight: Flight, time: Floats) -> Floats:

@@ -75,8 +75,7 @@ def inspect(
     inspection.found += found
     inspection.judged += judged
     rotors = _rotors(flight, baseline, inspection)
-    if not rotors.found:  # a vehicle that tumbles answers nothing
-        inspection.found += deaf_findings(flight)
+    inspection.found += deaf_findings(flight)
     progress(0.8)
     if (reason := cannot_judge_battery(flight)) is None:
         inspection.judged.append("battery")

@@ -80,6 +80,7 @@ def _stuck(
             end_s=None if last.end >= float(sensor.time[-1]) else last.end,
             evidence=(said,),
             curve=Curve(f"{component} {element}", "", sensor.time, lines),
+            is_direct=True,
         )
 
 

@@ -64,7 +64,10 @@ def _reading_found(
     said = f"it {words}, {show(reading, unit)}, for {seconds:.3g} s{several}"
     end = None if last.end >= float(time[-1]) else last.end
     curve = Curve(f"{component} {name}", unit, time, {"reading": values})
-    return make_found(component, name, kind, first.start, curve=curve, end_s=end, evidence=(said,))
+    is_direct = kind == "stuck"
+    return make_found(
+        *(component, name, kind, first.start), curve=curve, is_direct=is_direct, end_s=end, evidence=(said,)
+    )
 
 
 def stuck_intervals(flight: Flight, time: Floats, values: Floats) -> list[Interval]:

@@ -106,12 +106,12 @@ def fast_commands(log: FlightLog) -> Signal | None:
     return Signal(torque.time, mixed) if explained > MIXED else commands
 
 
-def torque_of(flight: Flight) -> Torque | None:
-    """Put commands and gyro together; None where one of them, or the layout, is missing."""
+def torque_of(flight: Flight, axes: tuple[int, ...] = (0, 1)) -> Torque | None:
+    """Put commands and gyro together for some axes; None where one of them, or the layout, is missing."""
     commands, layout = fast_commands(flight.log), effects(flight.log)
     if commands is None or layout is None or commands.value.shape[1] != layout.shape[1]:
         return None
-    return _put_together(flight, commands, layout[:2])
+    return _put_together(flight, commands, layout[list(axes)], axes)
 
 
 def torque_by_model(flight: Flight, model: Identified) -> Torque | None:
@@ -119,10 +119,10 @@ def torque_by_model(flight: Flight, model: Identified) -> Torque | None:
     drive = drive_of(flight.log)
     if drive is None or model.source == "torque_command" or not model.usable[:2].all():
         return None
-    return _put_together(flight, drive[1], normalised(model.gain[:, :2].T))
+    return _put_together(flight, drive[1], normalised(model.gain[:, :2].T), (0, 1))
 
 
-def _put_together(flight: Flight, commands: Signal, layout: Floats) -> Torque | None:
+def _put_together(flight: Flight, commands: Signal, layout: Floats, axes: tuple[int, ...]) -> Torque | None:
     if flight.gyro is None:
         return None
     gyro = flight.gyro[1]
@@ -135,7 +135,7 @@ def _put_together(flight: Flight, commands: Signal, layout: Floats) -> Torque | 
         return None
     asked = value @ layout.T
     half = 0.5 * max(float(np.median(np.diff(time))), 2.0 / gyro.rate)
-    rates = Signal(gyro.time, np.nan_to_num(gyro.value[:, :2]))
+    rates = Signal(gyro.time, np.nan_to_num(gyro.value[:, list(axes)]))
     later, sooner, now = rates.at(time + half), rates.at(time - half), rates.at(time)
     alpha = (later - sooner) / (2.0 * half)
     columns = np.stack([alpha, np.gradient(asked, time, axis=0), now], axis=-1)
@@ -146,13 +146,13 @@ def _put_together(flight: Flight, commands: Signal, layout: Floats) -> Torque | 
 
 
 def fit(torque: Torque, moved: Floats) -> tuple[Floats, Floats]:
-    """Fit J, L, D of both axes to flight, robustly (2, 3), with their covariance (2, 3, 3).
+    """Fit J, L, D of each of k axes to flight, robustly (k, 3), with their covariance (k, 3, 3).
 
-    ``moved`` (n, 2) is what a loss makes.
+    ``moved`` (n, k) is what a loss makes.
     """
-    found, covariance = np.tile(USUAL, (2, 1)), np.zeros((2, 3, 3))
-    flying = torque.flying
-    for axis in range(2):
+    axes, flying = torque.asked.shape[1], torque.flying
+    found, covariance = np.tile(USUAL, (axes, 1)), np.zeros((axes, 3, 3))
+    for axis in range(axes):
         rows = torque.columns[flying, axis]
         asked = (torque.asked - moved)[flying, axis]
         weight = np.ones(len(rows))
