@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model.rotors import propeller_speeds
+from quadftc_model.samples import AXES
 from quadftc_model.vehicle import Vehicle
 
 # what works, but poorly
@@ -19,7 +20,6 @@ SLOW_ROTORS = 0.05  # s; docs/robustness.md: slower motors cost the attitude con
 SLOW_YAW = 2.0  # rad/s²; a fault of yaw cannot be answered much faster than a turn by 45 deg in a second
 USUAL_GYRATION = (0.4, 0.9)  # 1; radius of gyration over the distance of the rotors
 WIDTH, HEIGHT = 41, 15  # characters of the plan
-AXES = ("roll", "pitch", "yaw")
 
 Floats = NDArray[np.float64]
 

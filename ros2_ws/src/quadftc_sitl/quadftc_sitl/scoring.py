@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from quadftc_fdi.diagnosis import BODY_AXES
 from quadftc_flight.scenario import Fault
 from quadftc_flight.summary import Summary
-from quadftc_model.samples import DiagnosisReport
+from quadftc_model.samples import AXES, DiagnosisReport
 from quadftc_model.spec import parse_spec
-from quadftc_sim.injection import AXES
 from quadftc_sim.rotor_fault import ROTOR
 from quadftc_sitl.journal import Event
 from quadftc_sitl.plan import SitlPlan
@@ -23,7 +23,8 @@ AFTERWARDS = 5.0  # s; what is said up to then after a fault has ended counts as
 EARLY = 1.0  # s; an onset that is found this much before the fault is still its own
 SHOWN = 20  # events of the autopilot in the summary of a fault
 SIZES = ("value", "rate", "sigma")  # of our faults, what says how large they are; SI
-ATTITUDE = ("roll", "pitch", "yaw")
+# axes of the attitude, as those of the other sensors
+BODY: dict[str, str] = dict(zip(AXES, BODY_AXES, strict=True))
 
 
 def describe_faults(plan: SitlPlan, ours: Iterable[Fault] | None = None) -> list[Told]:
@@ -31,11 +32,9 @@ def describe_faults(plan: SitlPlan, ours: Iterable[Fault] | None = None) -> list
     faults: list[Told] = []
     for fault in plan.scenario.faults if ours is None else ours:
         injection, channel = fault.injection, fault.injection.channel
-        numbers = np.flatnonzero(injection.mask).tolist()
-        if channel == ROTOR:
-            elements = [str(number + 1) for number in numbers]
-        else:
-            elements = [(ATTITUDE if channel == "attitude" else "xyz")[number] for number in numbers]
+        elements = list(injection.elements)
+        if channel not in ("attitude", ROTOR):
+            elements = [BODY[axis] for axis in elements]
         truth = {"source": "sensor" if channel != ROTOR else "rotor", "component": channel}
         values = parse_spec(fault.spec).values
         size = next((float(value) for key in SIZES if isinstance(value := values.get(key), str)), None)
@@ -100,15 +99,19 @@ def observed(fault: Told, reports: Iterable[DiagnosisReport], begin_ns: int) -> 
 
 def is_it(fault: Told, component: str, element: str, rivals: Sequence[str] = ()) -> bool:
     """Return whether a finding is this fault: by component and element, or by what it might be as well."""
-    names = [(component.rstrip("0123456789 "), element)]
+    names = [(kind_of(component), element)]
     names += [tuple(rival.partition("/")[::2]) for rival in rivals if "/" in rival]
     elements = {str(each) for each in fault["elements"]}
-    rivals_of = {axis: "xyz"[number] for axis, number in AXES.items()}
     return any(
         (name == fault["component"] or (fault["component"] == "imu" and name in ("gyro", "accelerometer")))
-        and (not elements or not one or one in elements or rivals_of.get(one, one) in elements)
+        and (not elements or not one or one in elements or BODY.get(one, one) in elements)
         for name, one in names
     )
+
+
+def kind_of(component: str) -> str:
+    """Return a component without its number: ``gyro`` for ``gyro 2``."""
+    return component.rstrip("0123456789 ")
 
 
 def metrics_of(result: Summary, errors: Sequence[float]) -> dict[str, float | None]:

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from quadftc_flight.summary import Summary
-from quadftc_sitl.scoring import EARLY, Told
+from quadftc_sitl.scoring import EARLY, Told, kind_of
 
 COLUMNS = ("fault", "flights", "autopilot", "observer", "diagnose", "survived")
 BINS, FEWEST = 4, 8  # parts of the sizes of a fault; flights of a fault whose sizes are divided
@@ -142,14 +142,10 @@ def _first_said(flight: Summary, source: str) -> str:
         return NOTHING
     first = min(later, key=lambda each: each[key])
     names = {
-        _plain(first["component"]),
-        *(_plain(rival.partition("/")[0]) for rival in first["ambiguous_with"]),
+        kind_of(first["component"]),
+        *(kind_of(each.partition("/")[0]) for each in first["ambiguous_with"]),
     }
     return " or ".join(sorted(names))
-
-
-def _plain(component: str) -> str:
-    return component.rstrip("0123456789 ")
 
 
 def _share(flights: Flights, source: str) -> str:
