@@ -49,7 +49,7 @@ environment_inputs() {
 build_inputs() {
   (cd "$WORKSPACE" && shopt -s nullglob globstar &&
     { cat "$ENV_STAMP"
-      printf '%s\n' src/*/{launch,config,foxglove,rviz,security}/*
+      printf '%s\n' src/*/{launch,config,foxglove,rviz}/*
       cat src/*/{package.xml,setup.py,setup.cfg,CMakeLists.txt} src/*/{msg,srv,action}/* colcon/* \
         "$QUADFTC_ROOT"/scripts/lib/build.sh; } | sha256sum | cut -c1-64)
 }

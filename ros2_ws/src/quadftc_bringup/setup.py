@@ -20,7 +20,6 @@ setup(
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
         (f"share/{PACKAGE}/diagnostics", sorted(glob("diagnostics/*.yaml"))),
-        (f"share/{PACKAGE}/security", sorted(glob("security/*.xml"))),
         (f"share/{PACKAGE}/foxglove", sorted(glob("foxglove/*.json"))),
         (f"share/{PACKAGE}/rviz", sorted(glob("rviz/*.rviz"))),
     ],

@@ -1,6 +1,6 @@
 """Write the SROS2 policy of the nodes from the table of topics: who may publish, read, serve and call what.
 
-    python -m quadftc_tools.docs.policy > ros2_ws/src/quadftc_bringup/security/quadftc.policy.xml
+    python3 -m quadftc_ros.policy [NAMESPACE] > quadftc.policy.xml
 
 Names are relative: ``ns`` of a profile is the namespace of the vehicle, which may follow on the command line.
 Each node has an enclave, and so have the launcher with its recorder, and an operator (``quadftc``, ``ros2``),

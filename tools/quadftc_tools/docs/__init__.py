@@ -1,1 +1,0 @@
-"""What tables of the code make: the policy of SROS2."""
