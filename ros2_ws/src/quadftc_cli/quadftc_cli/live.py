@@ -14,7 +14,7 @@ from quadftc_bags.interfaces import load_message_class
 from quadftc_flight.graph.plan import GraphError
 from quadftc_ros.executor import NodeHost
 from quadftc_ros.qos import service_profile, topic_profile
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import TOPICS, absolute
 
 PATIENCE = 5.0  # s; for nodes to be found, and for an answer
 OTHERS = 0.5  # s; for other vehicles to be found, after the first
@@ -67,7 +67,7 @@ class LiveGraph(NodeHost):
         row = TOPICS[topic]
         made = self.node.create_publisher(
             load_message_class(row.type_name),
-            f"/{self.namespace}/{topic}".replace("//", "/"),
+            absolute(self.namespace, topic),
             topic_profile(row.qos, "realtime"),
         )
         return made if self.until(made.get_subscription_count) else None
@@ -75,8 +75,7 @@ class LiveGraph(NodeHost):
     def listen(self, topic: str, callback: Callable[[Any], None]) -> None:
         """Have every message of a topic of the table from now on."""
         row = TOPICS[topic]
-        full = topic if topic.startswith("/") else f"/{self.namespace}/{topic}".replace("//", "/")
-        kind = load_message_class(row.type_name)
+        kind, full = load_message_class(row.type_name), absolute(self.namespace, topic)
         self.node.create_subscription(kind, full, callback, topic_profile(row.qos, "realtime"))
 
     def choose_vehicle(self, *services: str) -> str:
@@ -96,7 +95,7 @@ class LiveGraph(NodeHost):
 
     def full_name(self, name: str) -> str:
         """Return the full name of a service of the vehicle, once it is there; a GraphError says what is."""
-        full = f"/{self.namespace}/{name}".replace("//", "/")
+        full = absolute(self.namespace, name)
         if self.namespace or self.until(lambda: self.namespaces(name)):
             self.until(lambda: full in self._services(), PATIENCE if self.namespace else OTHERS)
         there = self.namespaces(name)

@@ -10,6 +10,7 @@ takes rotor speeds.
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -154,6 +155,11 @@ def _those(names: tuple[str, ...], nodes: set[str]) -> tuple[str, ...]:
 GRAPHS: Mapping[PlantKind, Mapping[str, Topic]] = MappingProxyType(
     {kind: _graph(kind) for kind in PLANT_KINDS}
 )
+
+
+def absolute(namespace: str, name: str) -> str:
+    """Return the full name of what is in a namespace; a name with a leading slash is full already."""
+    return posixpath.join("/", namespace.strip("/"), name)
 
 
 def missing_connections(

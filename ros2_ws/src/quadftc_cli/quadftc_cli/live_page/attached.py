@@ -18,7 +18,7 @@ from quadftc_cli.live import AUTOPILOTS, CONTROLLER, OBSERVER, OTHERS, LiveGraph
 from quadftc_cli.live_page.feed import DIAGNOSTICS, GUIDANCE, Feed, Flown, shown_topics
 from quadftc_flight.graph.plan import SLICE, GraphError
 from quadftc_model.rotations import euler_from_quaternion
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import TOPICS, absolute
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 ALL = QoSProfile(depth=100)
@@ -69,9 +69,8 @@ def follow(
     feeds: list[Feed] = []
     for number, flown in enumerate(vehicles):
         feed = Feed(channel, flown.namespace, flown.plant, number)
-        prefix = f"/{flown.namespace}/".replace("//", "/")
         for topic in (*shown_topics(flown.plant), DIAGNOSTICS):
-            full = topic if topic.startswith("/") else f"{prefix}{topic}"
+            full = absolute(flown.namespace, topic)
             kind = load_message_class(TOPICS[topic].type_name)
             profile = ALL if topic == DIAGNOSTICS else LATEST
             take: Any = feed.tap(full)  # each of these topics is shown

@@ -12,7 +12,7 @@ import socket
 import time
 from typing import NamedTuple
 
-from quadftc_ros.topics import GRAPHS, PlantKind
+from quadftc_ros.topics import GRAPHS, PlantKind, absolute
 from quadftc_ros.transport import Take
 
 PERIOD = 1.0 / 30.0  # s, between two frames
@@ -61,8 +61,7 @@ class Feed:
     def __init__(self, channel: socket.socket, namespace: str, plant: PlantKind, vehicle: int = 0) -> None:
         self._channel, self._vehicle = channel, vehicle
         self._channel.setblocking(False)
-        self._prefix = f"/{namespace.strip('/')}/".replace("//", "/")
-        self._topics = shown_topics(plant)
+        self._topics = {absolute(namespace, topic): topic for topic in shown_topics(plant)}
         self._frame = Frame({}, [], vehicle)
         self._due = 0.0
 
@@ -70,8 +69,7 @@ class Feed:
         """Return what takes the messages of a topic; None if the page does not show it."""
         if full_name == DIAGNOSTICS:
             return self._note
-        topic = full_name.removeprefix(self._prefix)
-        if topic not in self._topics:
+        if (topic := self._topics.get(full_name)) is None:
             return None
 
         def take(data: bytes) -> None:

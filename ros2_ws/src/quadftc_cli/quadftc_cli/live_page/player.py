@@ -22,7 +22,7 @@ from quadftc_cli.live_page.feed import DIAGNOSTICS, PERIOD, SHOWN, Flown, Frame
 from quadftc_cli.live_page.picture import Picture
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import flight_from_bag
-from quadftc_flight.live_run import events_of, flight_times, rotor_events_of, with_kinds
+from quadftc_flight.live_run import VEHICLE, events_of, flight_times, rotor_events_of, with_kinds
 from quadftc_flight.run_directory import (
     NO_PARAMETERS,
     PARAMETERS,
@@ -40,7 +40,6 @@ T = TypeVar("T")
 SAMPLES = "imu/data"
 # topics that tell which faults were injected, and of how many rotors
 TRUTH = (*INJECTED.values(), "rotors/fault", "rotors/speed")
-VEHICLE = "qball_x4"  # default of the nodes
 
 
 class Recorded(NamedTuple):
