@@ -11,6 +11,9 @@ import pytest
 
 from quadftc_model.rotations import quaternion_from_euler, quaternion_product, to_body
 from quadftc_replay.flight_log import Event, FlightLog, Signal
+from quadftc_replay.inspection.attitude import Creep
+from quadftc_replay.inspection.compass import Field, owner_by_field
+from quadftc_replay.inspection.flight import Interval
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.verdict import Finding
 
@@ -192,6 +195,24 @@ def test_interference_that_follows_the_rotors_all_along_is_named(since: float):
     found = inspect(changed(log, magnetometers=disturb)).verdict.findings
     named = [(each.component, each.element) for each in found if each.kind == "interference"]
     assert named == ([("magnetometer", "z")] if since == 0.0 else [])
+
+
+def test_field_of_the_earth_tells_whether_gyro_or_heading_creeps():
+    time = np.arange(0.0, 20.0, 0.2)
+    expected = np.tile([180.0, 0.0, -430.0], (len(time), 1))
+    noise = np.random.default_rng(2).standard_normal((len(time), 3))
+    angle = -0.1 * np.clip(time - 5.0, 0.0, 10.0)  # by which the attitude would be turned
+    turned = angle[:, None] * np.cross([0.0, 0.0, 1.0], expected)
+
+    def owner(*rests: np.ndarray, end: float = 15.0) -> str | None:
+        fields = (Field(Signal(time, rest), 466.0, np.zeros(3), np.ones(3), expected) for rest in rests)
+        told = owner_by_field(Creep(2, Interval(5.0, end), 0.1, 0.01, 2.0, None), fields)
+        return None if told is None else told.component
+
+    assert owner(noise) == "gyro"
+    assert owner(noise + turned) == "attitude"
+    assert owner(noise, noise + turned) is None
+    assert owner(noise, end=7.0) is None  # no compass is that good
 
 
 def test_barometers_that_jump_together_are_named_once():

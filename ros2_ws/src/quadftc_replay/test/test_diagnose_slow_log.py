@@ -36,13 +36,14 @@ def fly(
     stop: float = np.inf,
     back: float = np.inf,
     deaf: int | None = None,
+    finds_back: bool = False,
     seed: int = 3,
 ) -> FlightLog:
     """A quadrotor in gusts that its own first gyro steers; from `ONSET` on the faults act.
 
     ``lost`` is a rotor and the share of its thrust; ``gyro`` and ``force`` are offsets of the IMUs ``wrong``.
     At ``stop`` the rotors are switched off, at ``back`` the lost one gives its thrust again. ``deaf``: all
-    gyros are stuck about this axis, before noise is logged, and the estimate finds back slowly.
+    gyros are stuck about this axis, before noise is logged. ``finds_back``: the estimate does, slowly.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, DT)
@@ -67,7 +68,7 @@ def fly(
             given[lost[0]] *= 1.0 - lost[1] * late * float(now < back)
         gust += DT * (-gust / 0.5 + 2.0 * rng.standard_normal(3) / np.sqrt(DT))
         rate = rate + DT * (given @ GAINS + gust)
-        back_to = 0.0 if deaf is None else (q - estimate)[:3]
+        back_to = (q - estimate)[:3] if finds_back else 0.0
         q, estimate = turn(q, rate * DT), turn(estimate, (believed + back_to) * DT)
         lift = np.array([0.0, 0.0, given.sum() / (4 * HOVER) * 9.80665])
         velocity = velocity + DT * (to_earth(q, lift) - GRAVITY)
@@ -186,7 +187,7 @@ def test_gyro_that_turns_noisy_is_named_at_25_hz_and_one_that_turns_fast_is_not(
 
 @pytest.mark.parametrize(("axis", "noise"), [(0, 0.0), (1, 0.05), (2, 0.05)])
 def test_gyros_that_are_stuck_behind_noise_are_named_as_the_rotors_turn_the_vehicle(axis: int, noise: float):
-    log, rng = fly(deaf=axis, seconds=ONSET + 5.0), np.random.default_rng(4)
+    log, rng = fly(deaf=axis, finds_back=True, seconds=ONSET + 5.0), np.random.default_rng(4)
     for gyro in log.gyros.values():
         late = gyro.time >= ONSET
         gyro.value[late, axis] += noise * rng.standard_normal(late.sum())  # far above the usual
@@ -221,6 +222,16 @@ def test_fault_that_all_imus_share_is_seen_by_the_path():
     first = judge(fly(gyro=np.array([0.15, 0.0, 0.0]), wrong=(0, 1), seconds=ONSET + 5.0)).findings[0]
     assert (first.component, first.element) == ("gyro", "x")
     assert first.size == pytest.approx(0.15, abs=0.03)
+
+
+@pytest.mark.parametrize(("axis", "imus"), sampled([0, 1], [1, 2], every=3))
+def test_offset_that_all_gyros_share_is_theirs_though_the_attitude_finds_back(axis: int, imus: int):
+    offset = 0.1 * np.eye(3)[axis]
+    log = fly(gyro=offset, wrong=(0, 1), imus=imus, seconds=45.0, finds_back=True)
+    log = dataclasses.replace(log, gps_velocities={}, velocity=None)  # gyros and attitude alone tell
+    first = judge(log).findings[0]
+    assert (first.component, first.element, first.kind) == ("gyro", "xy"[axis], "offset")
+    assert first.size == pytest.approx(0.1, rel=0.3)
 
 
 @pytest.mark.parametrize(("element", "imus"), sampled(["roll", "pitch"], [1, 2], every=3))
@@ -369,11 +380,14 @@ def test_second_gyro_tells_whether_gyro_or_attitude_creeps():
     still = Signal(time, np.zeros((len(time), 3)))
     wrong = Signal(time, np.where(time[:, None] > 10.0, [0.1, 0.0, 0.0], 0.0))
     half = Signal(time, 0.5 * wrong.value)
-    owners = [owner_by_other(creep, {"": first, "1": still}) for first in (wrong, still, half)]
-    assert [each and each.component for each in owners] == ["gyro", "attitude", None]
-    assert owner_by_other(creep, {"": wrong}) is None
+    owners = [
+        owner_by_other(creep, {"": first, "1": still}, is_own)
+        for first, is_own in ((wrong, False), (still, False), (half, False), (still, True))
+    ]
+    assert [each and each.component for each in owners] == ["gyro", "attitude", None, None]
+    assert owner_by_other(creep, {"": wrong}, False) is None
     ended = Signal(still.time[still.time < 1.0], still.value[still.time < 1.0])
-    assert owner_by_other(creep, {"": wrong, "1": ended}) is None
+    assert owner_by_other(creep, {"": wrong, "1": ended}, False) is None
 
 
 def test_what_goes_beyond_a_limit_is_told_in_the_timeline_alone():

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, special
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.flight import Flight, Interval
 from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.steps import Step, join_ends, steps_beyond
-from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask, find_steps
+from quadftc_replay.inspection.whitening import Floats, Mask, find_steps
 
 ANGLES = ("roll", "pitch", "yaw")
 DEGREE = np.pi / 180.0  # rad
@@ -27,6 +27,7 @@ CREEP_WINDOWS = (0.5, 2.0, 8.0)  # s; over which the rates are compared
 CREEP = (0.1, 0.05, 0.05)  # rad/s; least difference of the rates over each window
 PER_RATE = (0.04, 0.02, 0.01)  # 1; of the body rate: what scale and alignment leave
 CREEP_LEVEL = 8.0  # times the scatter of the means
+LONG = 4.0  # s; after which an attitude has found its way back
 GYRO_CREEP = 0.2  # rad/s; no attitude creeps that fast
 KNOWN = 0.5  # 1; share of a window that makes a mean
 HEALTHY = (0.1, 0.5, 0.9)  # 1; shares of the log, one of which is healthy
@@ -75,7 +76,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
     found: list[Creep] = []
     for window, least, share in zip(CREEP_WINDOWS, CREEP, PER_RATE, strict=True):
         count = max(3, round(window / usual))
-        if len(time) < 5 * count:
+        if len(time) < 4 * count:
             continue
         share_known = ndimage.uniform_filter1d(known.astype(float), count)
         there = np.flatnonzero(share_known > KNOWN)
@@ -90,7 +91,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
             mean = means[:, axis] - (level if abs(level) < least else 0.0)  # no healthy sensor is off by more
             mean /= 1.0 + agreement.scale[axis]
             changes = mean[count:] - mean[:-count]
-            scatter = TO_SIGMA * float(np.median(np.abs(changes))) / np.sqrt(2.0) + 1e-9
+            scatter = _scatter(changes, count) / np.sqrt(2.0) + 1e-9
             score = np.where(
                 watched & (share_known > KNOWN),
                 np.abs(mean)
@@ -108,6 +109,12 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
         if not any(_touch(creep, other) for other in clearest):
             clearest.append(creep)
     return sorted(clearest, key=lambda creep: creep.span.start)
+
+
+def _scatter(changes: Floats, count: int) -> float:
+    """Standard deviation of changes (n,) over ``count`` rows of means over as many, bar those of one step."""
+    share = 0.5 * (1.0 - 2.0 * count / len(changes))
+    return float(np.quantile(np.abs(changes), share) / special.ndtri(0.5 + 0.5 * share))
 
 
 def _swing(agreement: Agreement, count: int) -> Floats:
@@ -187,7 +194,8 @@ def disagreements(
 
 
 def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: Owner | None) -> Found:
-    is_gyro = owner.component == "gyro" if owner else abs(creep.size) > GYRO_CREEP
+    is_learned = is_own and creep.axis != 2 and creep.span.end - creep.span.start > LONG
+    is_gyro = owner.component == "gyro" if owner else abs(creep.size) > GYRO_CREEP or is_learned
     names = ("gyro", "xyz"[creep.axis]), ("attitude", ANGLES[creep.axis])
     (component, element), other = names if is_gyro else names[::-1]
     said = [
@@ -195,7 +203,8 @@ def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: Owner 
         f" {creep.span.end:.2f} s, {creep.score:.1f} times what healthy sensors leave"
     ]
     if owner is None:
-        said += ["no attitude creeps that fast"] if is_gyro else ["either of the two may drift"]
+        far = "is put right for that long" if is_learned else "creeps that fast"
+        said += [f"no attitude {far}"] if is_gyro else ["either of the two may drift"]
     else:
         said.append(f"{owner.witness} says that it is the {owner.component}")
     if is_own:

@@ -12,7 +12,7 @@ attitude has jumped, which the gyro does not follow, or the field itself is anot
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ import numpy as np
 from quadftc_model.rotations import to_body
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import HUBER, ROUNDS, Agreement
+from quadftc_replay.inspection.attitude import Creep, Owner
 from quadftc_replay.inspection.flight import Flight, Interval, rotor_level
 from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, confidence, make_found
 from quadftc_replay.inspection.jumps import JUMP, find_jumps
@@ -190,6 +191,32 @@ def _findings(
             curve=_curve(field, name, unit),
             is_direct=True,
         )
+
+
+def owner_by_field(creep: Creep, fields: Iterable[Field]) -> Owner | None:
+    """Say whose creep it is by magnetometers: gyro or attitude; None: they cannot tell.
+
+    An attitude that is turned by phi about the body axis e adds phi e x m to what is left of a reading m.
+    """
+    shares = [share for share in (_share_of_turn(creep, field) for field in fields) if share is not None]
+    if not shares or min(shares) < SAME < max(shares):
+        return None
+    return Owner("attitude" if shares[0] > SAME else "gyro", "the field of the earth")
+
+
+def _share_of_turn(creep: Creep, field: Field) -> float | None:
+    """Return how much of a creep the attitude shows in the field (1: all); None: it would hardly show."""
+    rest = field.rest
+    end = min(creep.span.end, creep.span.start + 1.0 / abs(creep.size))  # before it has turned by a radian
+    rows = slice(*np.searchsorted(rest.time, (creep.span.start, end)))
+    if rows.stop - rows.start < FEWEST // 4:
+        return None
+    angle = -creep.size * (rest.time[rows] - creep.span.start)
+    turned = angle[:, None] * np.cross(np.eye(3)[creep.axis], field.expected[rows])
+    if float(np.linalg.norm(turned, axis=1).max()) < TURNED / SAME * field.size:
+        return None
+    seen, turned = (each - each.mean(axis=0) for each in (rest.value[rows], turned))
+    return float(np.nansum(seen * turned) / np.sum(turned**2))
 
 
 def _alike(step: Step, other: Step) -> bool:

@@ -57,7 +57,7 @@ def deaf_findings(flight: Flight) -> list[Found]:
     """Name the first axis of the main gyro on which torques are not answered."""
     if flight.gyro is None:
         return []
-    blocks = _blocks(flight.gyro[1])
+    blocks = _blocks(flight, flight.gyro[1])
     if len(blocks) < 2 * round(BEFORE / BLOCK):
         return []
     eta = _von_neumann(blocks)
@@ -65,9 +65,9 @@ def deaf_findings(flight: Flight) -> list[Found]:
     return sorted(found, key=lambda each: each.finding.onset_s)[:1]
 
 
-def _blocks(gyro: Signal) -> Signal:
-    """Means over `BLOCK` of samples that follow each other."""
-    whole = np.isfinite(gyro.value).all(axis=1)
+def _blocks(flight: Flight, gyro: Signal) -> Signal:
+    """Means over `BLOCK` of samples that follow each other in flight."""
+    whole = flight.in_flight(gyro.time) & np.isfinite(gyro.value).all(axis=1)
     count = max(1, round(BLOCK * gyro.rate))
     rows = int(whole.sum()) // count * count
     time, value = (each[whole][:rows].reshape(-1, count, *each.shape[1:]) for each in gyro)
@@ -97,7 +97,7 @@ def _deaf(flight: Flight, blocks: Signal, eta: Floats, axis: int) -> Iterator[Fo
     name, gyro = flight.gyro
     time, value = blocks.time, blocks.value[:, axis]
     half = round(0.5 * BEFORE * blocks.rate)
-    for run in runs_of(flight.in_flight(time) & (eta[:, axis] > WHITE)):
+    for run in runs_of(eta[:, axis] > WHITE):
         # the noise of the run tells where it may have begun, that after the torque where it has
         near = slice(max(run.start - half, 0), run.stop + half)
         whole, _ = _stays(value, near, (run.start + run.stop) // 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from quadftc_replay.flight_log import FlightLog, Signal
@@ -11,6 +11,8 @@ from quadftc_replay.inspection.agreement import Agreement, compare
 from quadftc_replay.inspection.attitude import attitude_findings, disagreements
 from quadftc_replay.inspection.battery import battery_findings, cannot_judge_battery
 from quadftc_replay.inspection.causes import first_cause
+from quadftc_replay.inspection.compass import COMPONENT as COMPASS
+from quadftc_replay.inspection.compass import Field, fields_of, owner_by_field
 from quadftc_replay.inspection.deaf import deaf_findings
 from quadftc_replay.inspection.ending import ending_of
 from quadftc_replay.inspection.flight import Flight, prepare
@@ -69,9 +71,12 @@ def inspect(
     progress(0.2)
     inspection.found += _readings(flight, gyros)
     progress(0.4)
-    _sensors(flight, gyros, agreement, inspection)
-    progress(0.7)
-    found, judged = navigation_findings(flight, agreement, _longest(flight, None))
+    fields = fields_of(flight)
+    found, judged = navigation_findings(flight, agreement, _longest(flight, None), fields)
+    blamed = {each.finding.component for each in found}
+    sound = [field for name, field in fields.items() if component_name(COMPASS, name) not in blamed]
+    progress(0.6)
+    _sensors(flight, gyros, agreement, sound, inspection)
     inspection.found += found
     inspection.judged += judged
     rotors = _rotors(flight, baseline, inspection)
@@ -132,15 +137,19 @@ def _longest(flight: Flight, sensor: Signal | None) -> Signal | None:
 
 
 def _sensors(
-    flight: Flight, gyros: dict[str, Signal], agreement: Agreement | None, inspection: _Inspection
+    flight: Flight,
+    gyros: dict[str, Signal],
+    agreement: Agreement | None,
+    fields: Sequence[Field],
+    inspection: _Inspection,
 ) -> None:
     """Tests of the sensors against each other: pairs, which need no model, the path, steps."""
     log, known = flight.log, [each.finding for each in inspection.found]
     pairs = [*pair_findings(flight, "gyro", gyros, known)]
     pairs += pair_findings(flight, "accelerometer", log.accelerometers, known)
-    paths, path = path_findings(flight)
-    by_satellites = path is not None and path.window == WINDOW
     is_own = log.attitude_from_gyro is not False
+    paths, path = path_findings(flight, agreement if log.attitude_from_gyro else None)
+    by_satellites = path is not None and path.window == WINDOW
     jumps, creeps = (
         ([], []) if agreement is None else disagreements(flight, agreement, log.attitude_from_gyro)
     )
@@ -169,7 +178,9 @@ def _sensors(
         main = gravity.get(next(iter(gyros)))
         inspection.found += attitude_findings(
             *(agreement, jumps, left, is_own),
-            lambda creep: owner_by_other(creep, gyros) or owner_of(creep, main),
+            lambda creep: (
+                owner_by_other(creep, gyros, is_own) or owner_by_field(creep, fields) or owner_of(creep, main)
+            ),
         )
     elif log.attitude is None:
         inspection.cannot("attitude", "no attitude is logged")

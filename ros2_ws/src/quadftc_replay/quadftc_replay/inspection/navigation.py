@@ -12,7 +12,7 @@ import numpy as np
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
-from quadftc_replay.inspection.compass import Field, compass_findings, fields_of
+from quadftc_replay.inspection.compass import Field, compass_findings
 from quadftc_replay.inspection.flight import Flight, Interval
 from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, make_found
 from quadftc_replay.inspection.heights import barometer_findings, receiver_findings, velocity_findings
@@ -22,10 +22,10 @@ CHANGES = 30  # of another magnetometer, of which this one shows none: by chance
 
 
 def navigation_findings(
-    flight: Flight, agreement: Agreement | None, other: Signal | None
+    flight: Flight, agreement: Agreement | None, other: Signal | None, fields: Mapping[str, Field]
 ) -> tuple[list[Found], list[str]]:
     """Return what is found, and which components were judged; ``other`` is a signal that goes on longest."""
-    log, fields = flight.log, fields_of(flight)
+    log = flight.log
     sensors: dict[str, Mapping[str, Signal]] = {
         "magnetometer": log.magnetometers,
         "barometer": log.barometers,

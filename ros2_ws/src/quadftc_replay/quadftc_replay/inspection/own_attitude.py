@@ -18,7 +18,7 @@ from vqf import VQF
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement
-from quadftc_replay.inspection.attitude import ANGLES, Creep, Owner
+from quadftc_replay.inspection.attitude import ANGLES, LONG, Creep, Owner
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.identification import bin_means
@@ -34,7 +34,6 @@ BEGUN = 0.15  # 1; share of the largest offset at which it has begun
 # share of a creep that the offset shows: at least of the gyro's, at most of others
 GYRO, ATTITUDE = 0.6, 0.3  # 1
 SEEN = 0.15  # 1; share of a creep of the gyro that the filter has to show in this motion
-LONG = 4.0  # s; of a creep whose owner gravity can tell
 NEAR = 5.0  # s; around the largest offset, over which an attitude is asked
 
 

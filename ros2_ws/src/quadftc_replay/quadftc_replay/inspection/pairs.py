@@ -27,7 +27,6 @@ FEWEST = 5  # samples of it
 SCALE = 0.05  # 1; of what they measure, by which scale and alignment may differ
 LEVEL = 6.0  # standard deviations of the mean
 CLEAR = 0.3  # 1; by how much of the difference one has to be worse than the other
-LONG = 4.0  # s; after which an attitude has found its way back
 
 
 class Parting(NamedTuple):
@@ -137,8 +136,11 @@ def jumps_more(a: Signal, b: Signal, parting: Parting) -> float:
     return float(np.clip((jump(a) - jump(b)) / abs(parting.size), -1.0, 1.0))
 
 
-def owner_by_other(creep: Creep, gyros: Mapping[str, Signal]) -> Owner | None:
-    """Say whose creep it is by another gyro than the first: gyro or attitude; None: it cannot tell."""
+def owner_by_other(creep: Creep, gyros: Mapping[str, Signal], is_own: bool) -> Owner | None:
+    """Say whose creep it is by another gyro than the first: gyro or attitude; None: it cannot tell.
+
+    ``is_own``: the attitude is computed from the gyro. It then knows more than two gyros that err alike.
+    """
     main, *others = gyros.values()
     for other in others:
         difference = differ(main, other)[2]
@@ -146,6 +148,6 @@ def owner_by_other(creep: Creep, gyros: Mapping[str, Signal]) -> Owner | None:
         if rows.start == rows.stop:  # the other has no sample then
             continue
         share = float(np.mean(difference.value[rows, creep.axis])) / creep.size
-        if abs(share - 1.0) < CLEAR or abs(share) < CLEAR:
+        if abs(share - 1.0) < CLEAR or (abs(share) < CLEAR and not is_own):
             return Owner("gyro" if share > 0.5 else "attitude", "another gyro")
     return None

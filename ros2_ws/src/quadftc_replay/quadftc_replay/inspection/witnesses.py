@@ -8,12 +8,14 @@ import numpy as np
 
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
-from quadftc_replay.inspection.agreement import compare
+from quadftc_replay.inspection.agreement import Agreement, compare
+from quadftc_replay.inspection.attitude import LONG
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, confidence, make_found
-from quadftc_replay.inspection.pairs import CLEAR, LONG, Parting, differ, jumps_more, partings
+from quadftc_replay.inspection.pairs import CLEAR, Parting, differ, jumps_more, partings
 from quadftc_replay.inspection.path import (
     LEVEL,
+    LONG_WINDOW,
     ONSET,
     SMALLEST,
     WINDOW,
@@ -158,13 +160,38 @@ def _main_force(flight: Flight) -> Signal | None:
     return next(iter(flight.log.accelerometers.values()), None)
 
 
-def path_findings(flight: Flight) -> tuple[list[Found], Path | None]:
-    """Name what parts from the path by the velocity that is known; and return that path."""
+def path_findings(flight: Flight, own: Agreement | None) -> tuple[list[Found], Path | None]:
+    """Name what parts from the path by the velocity that is known; and return that path.
+
+    ``own`` is what an attitude that is computed from the gyro and the gyro say of each other.
+    """
     path = known_path(flight.log, _main_force(flight))
     if path is None:
         return [], None
     causes = [each for each in causes_of(flight, path) if each.component != "gps"]
+    if own is not None:
+        causes = [_turned_back(each, own) or each for each in causes]
     return [_path_found(flight, path, each) for each in causes if not _is_tilting(flight, each)], path
+
+
+def _turned_back(cause: Cause, own: Agreement) -> Cause | None:
+    """Return the gyro that tilts an attitude, in place of an accelerometer; None: it does not.
+
+    An estimator turns its attitude by b / g, once, for an offset b of the accelerometer. It goes on to turn
+    it back where the gyro makes it tilt.
+    """
+    axis = {"x": 1, "y": 0}.get(cause.element)
+    if cause.component != "accelerometer" or axis is None:
+        return None
+    rate = -own.rest[:, axis] / own.dt
+    usual = float(np.median(rate[own.time < cause.onset])) if own.time[0] < cause.onset else 0.0
+    late = (own.time >= cause.onset) & (own.time < cause.onset + LONG_WINDOW)
+    turned = float(np.sum((rate[late] - usual) * own.dt[late])) * (1.0 if axis == 1 else -1.0)
+    if turned * np.sign(cause.size) < abs(cause.size) / STANDARD_GRAVITY / SAME:
+        return None
+    size = turned / float(np.sum(own.dt[late])) * (1.0 if axis == 1 else -1.0)
+    spread = cause.sigma / abs(cause.size) * abs(size)
+    return cause._replace(component="gyro", element=BODY_AXES[axis], size=size, sigma=spread)
 
 
 def _is_tilting(flight: Flight, cause: Cause) -> bool:
