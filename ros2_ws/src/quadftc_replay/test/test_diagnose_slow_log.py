@@ -355,6 +355,16 @@ def test_vibration_that_rises_and_falls_again_in_less_than_two_seconds_is_none()
     assert judge(log).outcome == "healthy"
 
 
+def test_vibration_rises_in_no_flight_in_which_it_never_was_lower():
+    log = with_vibration(17.0, before=17.0)
+    assert log.vibration is not None
+    log.vibration.value[:3] = 1.0  # the autopilot's filter begins low
+    assert judge(log).outcome == "healthy"
+    (found,) = judge(with_vibration(40.0, before=40.0)).findings
+    assert (found.component, found.kind, found.size) == ("vibration", "noise", pytest.approx(40.0))
+    assert judge(with_vibration(40.0, before=40.0)).sentence.startswith("Vibration x,y,z is harmful")
+
+
 def test_voltage_that_sags_step_by_step_is_dated_to_its_first_step():
     time = np.arange(0.0, 25.0, 0.2)
     volts = 12.6 - np.clip(np.ceil((time - ONSET) / 1.5), 0.0, 6.0) * 0.5

@@ -40,19 +40,22 @@ def vibration_findings(flight: Flight) -> Iterator[Found]:
         if end - start < LASTS or (usual < HARMFUL and risen < 0.5 * RISEN * usual):
             continue  # what wanders about the harmful level all along has not risen
         lower = np.flatnonzero(watched[: run.start] & (value[: run.start] < usual + 0.25 * (risen - usual)))
-        if not len(lower) and usual < HARMFUL:
-            continue  # it has not risen in this flight
-        onset = float(time[lower[-1] + 1]) if len(lower) else start
-        grown = np.median(axes[run], axis=0) > RISEN * np.median(axes[watched & (value <= limit)], axis=0)
+        has_risen = len(lower) > LASTS * level.rate  # else nobody knows that it was lower
+        if not has_risen and usual < HARMFUL:
+            continue
+        onset = float(time[lower[-1] + 1]) if has_risen else start
+        low = RISEN * np.median(axes[watched & (value <= limit)], axis=0) if has_risen else HARMFUL
+        grown = np.median(axes[run], axis=0) > low
         element = ",".join(BODY_AXES[k] for k in np.flatnonzero(grown)) if axes.shape[1] > 1 else ""
-        said = [f"the accelerometers vibrate by {risen:.3g} m/s² on each axis, by {usual:.3g} m/s² before"]
+        other = f"by {usual:.3g} m/s² before" if has_risen else f"beyond {HARMFUL:.3g} m/s² all along"
+        said = [f"the accelerometers vibrate by {risen:.3g} m/s² on each axis, {other}"]
         clips = flight.log.clips
         if clips is not None and (count := float(np.ptp(clips.at(np.array([start, end]))))) > 0:
             said.append(f"{count:.0f} samples are at the limit of the accelerometer meanwhile")
         yield make_found(
-            *("vibration", element, "rise", onset),
+            *("vibration", element, "rise" if has_risen else "noise", onset),
             end_s=None if flight.log.end - end < LASTS else end,
-            size=risen - usual,
+            size=risen - usual if has_risen else risen,
             sigma=float(np.std(value[run])),
             unit="m/s^2",
             probability=confidence(risen, limit),

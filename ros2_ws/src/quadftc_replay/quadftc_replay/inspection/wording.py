@@ -214,7 +214,7 @@ def _describe(finding: Finding) -> str:
         "interference": f"{finding.name} follows the rotors{size.replace(' of ', ' by ')}",
         "stuck": f"{finding.name} is stuck",
         "saturation": f"{finding.name} is saturated",
-        "noise": f"{finding.name} is noisy",
+        "noise": f"{finding.name} is {'harmful' if finding.component == 'vibration' else 'noisy'}",
         "absent": f"{finding.name} gives no usable reading",
         "loss": f"{finding.name} lost {_share(finding.size)} of its thrust",
         "off": f"{finding.name} gives no thrust",
