@@ -266,6 +266,17 @@ def test_sensor_that_repeats_or_stops_comes_first(component: str, change: Change
     assert found.onset_s == pytest.approx(ONSET, abs=0.4)
 
 
+def test_barometer_that_holds_its_height_without_the_noise_of_the_air_is_stuck():
+    def held(signal: Signal) -> Signal:
+        late, row = signal.time > ONSET, int(np.searchsorted(signal.time, ONSET))
+        left = signal.value[row] + 0.01 * (signal.value - signal.value[row])
+        return Signal(signal.time, np.where(late[:, None], left, signal.value))
+
+    found = first_of(changed(fly(), barometers=held))
+    assert (found.component, found.kind, found.end_s) == ("barometer", "stuck", None)
+    assert found.onset_s == pytest.approx(ONSET, abs=1.5)  # the noise is that of 1.6 s
+
+
 def test_log_that_loses_messages_by_chance_lacks_no_sensor():
     rng = np.random.default_rng(5)
     log = fly()

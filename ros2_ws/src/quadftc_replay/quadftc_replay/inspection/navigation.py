@@ -2,6 +2,7 @@
 
 A reading that is repeated is a fault where the sensor otherwise never does so. A magnetometer has to have
 been turned meanwhile, as the field of a vehicle that keeps its attitude hardly moves, or another one changes.
+The height of a vehicle that hovers hardly moves, but a barometer that is alive has the noise of the air.
 """
 
 from __future__ import annotations
@@ -15,8 +16,13 @@ from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.compass import Field, compass_findings
 from quadftc_replay.inspection.flight import Flight, Interval
 from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, make_found
-from quadftc_replay.inspection.heights import barometer_findings, receiver_findings, velocity_findings
-from quadftc_replay.inspection.readings import absent_findings, stuck_intervals
+from quadftc_replay.inspection.heights import (
+    BAROMETER,
+    barometer_findings,
+    receiver_findings,
+    velocity_findings,
+)
+from quadftc_replay.inspection.readings import absent_findings, quiet_intervals, stuck_intervals
 
 CHANGES = 30  # of another magnetometer, of which this one shows none: by chance once in 2^30
 
@@ -66,13 +72,14 @@ def _stuck(
             or any(_changes(other, each) > CHANGES for other in others)
         )
     ]
+    turns = "while the vehicle turns in the field of the earth, or another changes"
+    what = f"repeats its reading, {turns if is_compass else 'as it does not otherwise'}"
+    if not stretches and component.startswith(BAROMETER):
+        stretches, what = quiet_intervals(flight, sensor), "has next to none of its usual noise"
     if not stretches:
         return
     first, last = stretches[0], stretches[-1]
-    seconds = sum(each.end - each.start for each in stretches)
-    turns = "while the vehicle turns in the field of the earth, or another changes"
-    why = turns if is_compass else "as it does not otherwise"
-    said = f"it repeats its reading for {seconds:.3g} s, {why}"
+    said = f"it {what}, for {sum(each.end - each.start for each in stretches):.3g} s"
     for column, element in enumerate(BODY_AXES if is_compass else ("",)):
         lines = {"reading": sensor.value[:, column]}
         yield make_found(

@@ -210,6 +210,25 @@ def noise_findings(
         )
 
 
+def quiet_intervals(flight: Flight, sensor: Signal) -> list[Interval]:
+    """Stretches in flight in which a reading (n, 1) changes, but has next to none of the noise before."""
+    flying = flight.is_calm(sensor.time)
+    if flying.sum() < FEWEST:
+        return []
+    noise = moving_noise(sensor)[:, 0]
+    loud = float(np.quantile(noise[flying], 1.0 - CALM))
+    lasts = HANDLED * max(NOISE_LASTS, SAMPLES / sensor.rate)
+    found: list[Interval] = []
+    for run in runs_of(flying & (noise > 0.0) & (noise < loud / NOISY)):
+        first = int(np.searchsorted(sensor.time, found[0].start)) if found else run.start
+        before, span = noise[:first][flying[:first]], sensor.time[[run.start, run.stop - 1]]
+        if min(len(before) / sensor.rate, float(np.ptp(span))) < lasts:
+            continue
+        if float(np.median(noise[run])) < float(np.quantile(before, CALM)) / NOISY:
+            found.append(Interval(*span.tolist()))
+    return found
+
+
 def moving_noise(sensor: Signal, order: int = 3) -> Floats:
     """Standard deviation of what is fast in a signal, over `WINDOW` (n, k): by differences of an order."""
     values = np.nan_to_num(sensor.value)
