@@ -110,6 +110,9 @@ def _deaf(flight: Flight, blocks: Signal, eta: Floats, axis: int) -> Iterator[Fo
         vain = _in_vain(torque, time[whole])
         if vain is None or vain.turn < QUIET * noise or np.median(eta[whole, axis]) < WHITE:
             continue
+        usual = value[: whole.start]
+        if noise > QUIET * scale(usual - np.median(usual)):
+            continue  # it swings as a vehicle does that lost a rotor
         until = slice(whole.start, int(np.searchsorted(time, vain.moment + WINDOW)))
         if np.median(np.delete(eta[until], axis, axis=1), axis=0).min() > WHITE:
             continue  # the ground holds all axes

@@ -217,14 +217,16 @@ def _off_the_ground(log: FlightLog, level: Signal, flights: Sequence[Interval]) 
             if not (begins or ends):  # all that is logged may be a hover in calm air
                 yield each
             continue
+        after = inside | ((time > each.end) & (time <= each.end + CRASH))
         first, last = (
-            runs_of(inside & ~(still & (shares < (weight - HELD) * float(np.median(near)))))
-            for near in (moving[:count], moving[-count:])
+            runs_of(part & ~(still & (shares < (weight - HELD) * float(np.median(near)))))
+            for part, near in ((inside, moving[:count]), (after, moving[-count:]))
         )
         # it lifts off where it is first held no more, and touches down where it feels most before it is held
         lift = next((float(time[run.start]) for run in first if _lasts(time, run)), each.end)
         left = next((float(time[run.stop - 1]) for run in reversed(last) if _lasts(time, run)), lift)
-        end = each.end if left >= each.end else _touches_down(force, left)
+        is_held = left < time[after][-1]
+        end = min(_touches_down(force, left), each.end) if is_held else each.end
         yield Interval(lift if begins else each.start, end)
 
 
