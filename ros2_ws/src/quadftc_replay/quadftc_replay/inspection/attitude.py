@@ -74,6 +74,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
     rates = np.where(known[:, None], agreement.rest / agreement.dt[:, None], 0.0)
     turning = np.linalg.norm(agreement.turn, axis=1) / agreement.dt
     found: list[Creep] = []
+    brief = ndimage.uniform_filter1d(rates, max(3, round(CREEP_WINDOWS[0] / usual)), axis=0)
     for window, least, share in zip(CREEP_WINDOWS, CREEP, PER_RATE, strict=True):
         count = max(3, round(window / usual))
         if len(time) < 4 * count:
@@ -100,10 +101,14 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
             )
             score[: count // 2] = score[len(score) - count // 2 :] = 0.0  # less than a window
             for run, best in stretches(mean, score, round(BETWEEN / usual)):
-                span = Interval(float(time[run.start]), float(time[run.stop - 1]))
+                # what is short and large is seen half a window too early
+                size = float(np.median(mean[run]))
+                begun = np.flatnonzero(brief[run, axis] * np.sign(size) > 0.5 * abs(size))
+                start = run.start + int(begun[0]) if len(begun) else run.start
+                span = Interval(float(time[start]), float(time[run.stop - 1]))
                 lasts = run.stop > len(time) - round(BETWEEN / usual)
                 end = None if lasts else span.end
-                found.append(Creep(axis, span, -float(np.median(mean[run])), scatter, best, end))
+                found.append(Creep(axis, span, -size, scatter, best, end))
     clearest = list[Creep]()
     for creep in sorted(found, key=lambda creep: -creep.score):
         if not any(_touch(creep, other) for other in clearest):

@@ -110,12 +110,15 @@ def _deaf(flight: Flight, blocks: Signal, eta: Floats, axis: int) -> Iterator[Fo
         vain = _in_vain(torque, time[whole])
         if vain is None or vain.turn < QUIET * noise or np.median(eta[whole, axis]) < WHITE:
             continue
-        usual = value[: whole.start]
-        if noise > QUIET * scale(usual - np.median(usual)):
-            continue  # it swings as a vehicle does that lost a rotor
+        # it felt motions before, but none as the torque began: a rotor that is lost makes one
+        if np.median(eta[: whole.start, axis]) > WHITE or _moves(
+            value, max(row - half, whole.start), row, half
+        ):
+            continue
+        # the ground holds all axes
         until = slice(whole.start, int(np.searchsorted(time, vain.moment + WINDOW)))
         if np.median(np.delete(eta[until], axis, axis=1), axis=0).min() > WHITE:
-            continue  # the ground holds all axes
+            continue
         onset, end = float(time[whole.start]), float(time[whole.stop - 1])
         said = (
             f"for {end - onset:.2g} s it has noise of {noise:.2g} rad/s and follows no motion,"
@@ -131,12 +134,21 @@ def _deaf(flight: Flight, blocks: Signal, eta: Floats, axis: int) -> Iterator[Fo
         return
 
 
+def _moves(value: Floats, first: int, row: int, count: int) -> bool:
+    """Whether a reading (n,) moves within ``count`` rows by far more than from the first one to this row."""
+    before = value[first:row]
+    if not len(before):
+        return True
+    middle = float(np.median(before))
+    return bool(np.any(np.abs(value[row : row + count] - middle) > 2.0 * QUIET * scale(before - middle)))
+
+
 def _stays(value: Floats, part: slice, row: int) -> tuple[slice, float]:
     """Return the stretch around a row in which a reading (n,) stays where it is in a part, and its noise."""
     middle = float(np.median(value[part]))
     noise = scale(value[part] - middle)
-    stays = np.abs(value - middle) < QUIET * noise
-    runs = runs_of(np.asarray(ndimage.binary_closing(stays), np.bool_))  # bar single outliers
+    stays = ndimage.median_filter(np.abs(value - middle) < QUIET * noise, 3)  # bar single outliers
+    runs = runs_of(np.asarray(stays, np.bool_))
     return next((each for each in runs if each.start <= row < each.stop), slice(row, row + 1)), noise
 
 
