@@ -7,7 +7,7 @@ Random vehicles fly in free flight. Each flight is written as ArduPilot and as P
 back and judged. As many more have a fault. Of real logs below DATA each without a finding gets offsets of its
 sensors that last to its end. The tables go into docs/diagnose.md, or onto the screen without ``--docs``.
 ``--write`` stores the healthy flights for ``--false-alarms``, with some that tests fly again. Nothing was
-tuned on flights from seed 91000 on.
+tuned on flights from seed 91000 on, but for those that docs/diagnose.md names.
 """
 
 from __future__ import annotations
