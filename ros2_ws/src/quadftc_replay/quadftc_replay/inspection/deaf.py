@@ -8,8 +8,8 @@ Neumann's ratio
 
 is next to 0 for a motion and next to 1 for white noise. A controller asks for a torque as the gyro sees a
 motion. Where it asks for one that the gyro does not see, and goes on asking, the torque less what the motion
-takes of it (r of `rotor_step`) leaves what it was. A lost rotor moves the gyro as well; the ground holds all
-axes.
+takes of it (r of `rotor_step`) leaves what it was. A lost rotor moves the gyro as well, and r on
+several axes; the ground holds all axes.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import BODY_AXES, Curve, Found, component_name, confidence, make_found
 from quadftc_replay.inspection.rotor_step import (
+    ASIDE,
     BEFORE,
     ENDED,
     FEWEST,
@@ -91,7 +92,7 @@ def _von_neumann(blocks: Signal) -> Floats:
 
 def _deaf(flight: Flight, blocks: Signal, eta: Floats, axis: int) -> Iterator[Found]:
     """Say since when one axis is deaf."""
-    torque = torque_of(flight, (axis,))
+    torque = torque_of(flight, (0, 1, 2))
     if torque is None or flight.gyro is None:
         return
     name, gyro = flight.gyro
@@ -101,13 +102,13 @@ def _deaf(flight: Flight, blocks: Signal, eta: Floats, axis: int) -> Iterator[Fo
         # the noise of the run tells where it may have begun, that after the torque where it has
         near = slice(max(run.start - half, 0), run.stop + half)
         whole, _ = _stays(value, near, (run.start + run.stop) // 2)
-        vain = _in_vain(torque, time[max(whole.start, near.start) : whole.stop])
+        vain = _in_vain(torque, axis, time[max(whole.start, near.start) : whole.stop])
         if vain is None:
             continue
         row = int(np.searchsorted(time, vain.moment))
         whole, noise = _stays(value, slice(row, row + 2 * half), row)
         whole = slice(max(whole.start, near.start), whole.stop)
-        vain = _in_vain(torque, time[whole])
+        vain = _in_vain(torque, axis, time[whole])
         if vain is None or vain.turn < QUIET * noise or np.median(eta[whole, axis]) < WHITE:
             continue
         # it felt motions before, but none as the torque began: a rotor that is lost makes one
@@ -152,8 +153,11 @@ def _stays(value: Floats, part: slice, row: int) -> tuple[slice, float]:
     return next((each for each in runs if each.start <= row < each.stop), slice(row, row + 1)), noise
 
 
-def _in_vain(torque: Torque, span: Floats) -> Vain | None:
-    """Return the torque that is asked for in vain within a span, by the model of what came before it."""
+def _in_vain(torque: Torque, axis: int, span: Floats) -> Vain | None:
+    """Return the torque that is asked for in vain within a span, by the model of what came before it.
+
+    None as well where others begin with it, as where a rotor is lost.
+    """
     if not len(span):
         return None
     onset, end = float(span[0]), float(span[-1])
@@ -169,11 +173,14 @@ def _in_vain(torque: Torque, span: Floats) -> Vain | None:
     if not len(k):
         return None
     step = steps(rest, k, before, count)
-    score = np.abs(step[:, 0]) / np.hypot(FLOOR, scatter(step))
-    at = part.time[k]
+    scores = np.abs(step) / np.hypot(FLOOR, [scatter(step[:, [each]]) for each in range(3)])
+    at, score = part.time[k], scores[:, axis]
     inside = np.flatnonzero((at >= onset) & (at + WINDOW <= end) & (score > ENDED))
     if not len(inside):
         return None
+    first = scores[np.abs(at - at[inside[0]]) <= WINDOW].max(axis=0)
+    if np.delete(first, axis).max() > ASIDE * first[axis]:
+        return None
     best = int(inside[np.argmax(score[inside])])
-    turn = abs(float(step[best, 0])) * WINDOW / max(float(factors[0, 0]), float(USUAL[0]))
+    turn = abs(float(step[best, axis])) * WINDOW / max(float(factors[axis, 0]), float(USUAL[0]))
     return Vain(float(at[inside[0]]), float(score[best]), turn)
