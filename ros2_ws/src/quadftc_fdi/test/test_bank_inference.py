@@ -9,19 +9,20 @@ from quadftc_fdi.bank.motion import BETA, OMEGA, THETA, D
 from quadftc_fdi.bank.noise import Noise
 from quadftc_model.rotations import rotation_between, turn
 
-DT, ONSET, ROWS, SLOT = 0.01, 30, 90, 0  # s; the slot that the first onset takes
+DT, ONSET, END, ROWS, SLOT = 0.01, 30, 70, 90, 0  # s; the slot that the first onset takes
 NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.03)))
 WALK, AXIS = 0.02, 0  # rad/s/sqrt(s)
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 THERE, BOTH_WELL = np.ones(3, bool), np.zeros(2, bool)
+ALIKE = np.zeros((modes.MODES, sum(SLOTS)))  # log weight
 
 
-def readings(kind, size, slope, repeats_gyro):
-    """Known acceleration, gyro and angle (ROWS,) of one axis with a fault from `ONSET` on."""
+def readings(kind, size, slope, repeats_gyro, end=ROWS):
+    """Known acceleration, gyro and angle (ROWS,) of one axis with a fault from `ONSET` to a row."""
     rng = np.random.default_rng(3)
     known = 0.5 * np.sin(np.arange(ROWS))
     elapsed = (np.arange(ROWS) - ONSET) * DT
-    fault = np.where(elapsed >= 0.0, size + slope * elapsed, 0.0)
+    fault = np.where((elapsed >= 0.0) & (np.arange(ROWS) < end), size + slope * elapsed, 0.0)
     pushed = np.where(elapsed > 0.0, size, 0.0) * (kind == modes.PUSH)
     rate = np.cumsum(known + pushed) * DT
     gyro = rate + 0.02 * rng.standard_normal(ROWS) + fault * (kind == modes.GYRO)
@@ -74,8 +75,8 @@ def without_sensor_errors(state):
     return state._replace(covariance=state.covariance * known[:, None] * known)
 
 
-def fly_bank(known, gyro, angle, repeats_gyro):
-    """Motion and bank after all readings, one onset taken at `ONSET`."""
+def fly_bank(known, gyro, angle, repeats_gyro, *onsets):
+    """Motion and bank after all readings, ``onsets`` taken at these rows."""
     e = np.eye(3)[AXIS]
     state = without_sensor_errors(motion.start_motion(LEVEL, np.zeros(3), NOISE))
     bank = inference.start_bank(np.zeros(3))
@@ -84,15 +85,15 @@ def fly_bank(known, gyro, angle, repeats_gyro):
         given = known[row] * e, np.zeros(3), np.True_, mean, np.full(3, WALK), NOISE, repeats_gyro, DT
         state = motion.predict(state, *given)
         bank = inference.move(bank, state.rate, repeats_gyro, DT)
-        bank = one_onset(bank, row == ONSET)
+        bank = one_onset(bank, row in onsets)
         state, bank = measure(state, bank, mean, turn(LEVEL, angle[row] * e))
     return state, bank
 
 
 def one_onset(bank, now):
     """Let all hypotheses grow older; begin an onset in each ring, or in none."""
-    bank = bank._replace(since=np.full(3, 1.0 if now else -1.0))
-    return inference.open_slots(bank, np.zeros(sum(SLOTS)), DT)
+    bank = bank._replace(since=np.array(SPACING) if now else np.full(len(SLOTS), -1.0))
+    return inference.open_slots(bank, ALIKE, DT)
 
 
 def measure(state, bank, gyro, q_xyzw):
@@ -115,7 +116,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
     monkeypatch.setattr(motion, "SMEAR", 0.0)  # noise that grows with the rate is not linear
     monkeypatch.setattr(motion, "JITTER", 0.0)
     known, gyro, angle = readings(kind, size, slope, repeats_gyro)
-    state, bank = fly_bank(known, gyro, angle, repeats_gyro)
+    state, bank = fly_bank(known, gyro, angle, repeats_gyro, ONSET)
     # nothing is left unexplained
     bank = bank._replace(temper=np.ones_like(bank.temper), square=0.0 * bank.square)
     believed = inference.believe(bank, THERE, BOTH_WELL)
@@ -143,6 +144,39 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
     assert spread == pytest.approx(knows.P[4:, 4:], rel=1e-6)
     P = state.covariance[AXIS, :4, :4] + U @ spread @ U.T
     assert pytest.approx(knows.P[:4, :4], rel=1e-6, abs=1e-12) == P
+
+
+@pytest.mark.parametrize("repeats_gyro", [False, True])
+def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(repeats_gyro, monkeypatch):
+    monkeypatch.setattr(motion, "SMEAR", 0.0)
+    monkeypatch.setattr(motion, "JITTER", 0.0)
+    known, gyro, angle = readings(modes.ATTITUDE, 0.03, 0.02, repeats_gyro, END)
+    state, bank = fly_bank(known, gyro, angle, repeats_gyro, ONSET, END)
+    bank = bank._replace(temper=np.ones_like(bank.temper), square=0.0 * bank.square)
+    believed = inference.believe(bank, THERE, BOTH_WELL)
+    mode, slot = 3 * modes.RETURN + AXIS, SLOT + 1
+    start = motion.start_motion(LEVEL, np.zeros(3), NOISE).covariance[AXIS, :4, :4]
+    knows, healthy = SecondFilter(start, modes.ATTITUDE), SecondFilter(start, None)
+    for row in range(ROWS):
+        for each in (knows, healthy):
+            each.predict(known[row], gyro[row], repeats_gyro)
+            if row == ONSET and each is knows:
+                each.begin(modes.PRIOR[mode])
+            if row == END:
+                each.kind = None
+            each.measure(np.eye(6)[BETA] + np.eye(6)[OMEGA], gyro[row], NOISE.gyro[0], modes.GYRO)
+            each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
+    assert not state.loud.any()
+    # four slots hold that fault, alike; the end comes at the rate of events
+    began = inference.USUAL[modes.ATTITUDE + AXIS, [FIRST[ring] for ring in range(len(SLOTS))]].mean()
+    evidence = believed.log_weight[mode, slot] - began - np.log(modes.EVENTS / 3600.0 * SPACING[0])
+    assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
+    assert evidence > believed.log_weight[modes.ATTITUDE + AXIS].max()
+    assert believed.b[:, mode, slot] == pytest.approx(knows.x[4:], rel=1e-6, abs=1e-9)
+    b, U = believed.b[:, mode, slot], bank.U[:4, AXIS, :, 3 * modes.RETURN + AXIS, slot]
+    angle_now = 2.0 * np.arctan2(state.q_xyzw[AXIS], state.q_xyzw[3])
+    x = np.array([angle_now, state.bias[AXIS], state.rate[AXIS], state.unknown[AXIS]])
+    assert x + U @ b == pytest.approx(knows.x[:4], rel=1e-6, abs=1e-8)
 
 
 @pytest.mark.parametrize("kind", [modes.ATTITUDE, modes.GYRO])
@@ -182,8 +216,10 @@ def test_a_torque_may_have_changed_at_any_time_between_two_samples():
 
 def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    believed = inference.believe(inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0), THERE, BOTH_WELL)
+    believed = inference.believe(inference.open_slots(bank, ALIKE, 0.0), THERE, BOTH_WELL)
     for row, kind in enumerate(modes.KINDS):
+        if row == modes.RETURN:
+            continue
         for axis in range(3):
             mode = 3 * row + axis
             assert (modes.KIND[mode], modes.AXIS[mode]) == (row, axis)
@@ -193,7 +229,7 @@ def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
                 assert believed.log_weight[mode, slot] == pytest.approx(np.log(p))
                 assert believed.covariance[:, mode, slot] == pytest.approx([kind.size**2, 0.0, kind.slope**2])
     began = believed.log_weight > inference.LOWEST
-    assert began.sum() == modes.MODES * len(SPACING)
+    assert began.sum() == (modes.MODES - 3) * len(SPACING)  # there is nothing from which to return
 
 
 def ages(worth, seconds=6.0, dt=0.004):
@@ -201,14 +237,16 @@ def ages(worth, seconds=6.0, dt=0.004):
     bank, now = inference.start_bank(np.zeros(3)), 0.0
     for _ in range(round(seconds / dt)):
         age = bank.age[0]
-        bank = inference.open_slots(bank, np.where(age >= 0.0, worth(now - age), inference.LOWEST), dt)
+        likely = np.where(age >= 0.0, worth(now - age), inference.LOWEST)
+        bank = inference.open_slots(bank, ALIKE + likely, dt)
         now += dt
     return [np.sort(bank.age[0, FIRST[k] : FIRST[k + 1]]) for k in range(len(SLOTS))]
 
 
 @pytest.mark.parametrize("likely", [0.0, -5.0])
 def test_the_oldest_onset_goes_where_nothing_is_likely(likely):
-    for row, spacing, slots in zip(ages(lambda began: 0.0 * began + likely), SPACING, SLOTS, strict=True):
+    full = ages(lambda began: 0.0 * began + likely, seconds=max(np.multiply(SPACING, SLOTS)) + 1.0)
+    for row, spacing, slots in zip(full, SPACING, SLOTS, strict=True):
         steps = np.ceil(spacing / 0.004 - 1e-6) * 0.004
         assert np.diff(row) == pytest.approx(np.full(slots - 1, steps), abs=1e-9)
         assert row[0] < steps
@@ -222,9 +260,19 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
 
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    bank = inference.open_slots(bank, np.zeros(sum(SLOTS)), 0.0)
+    bank = inference.open_slots(bank, ALIKE, 0.0)
     gone = inference.forget(bank, np.array([False, True, False]), np.zeros(3, np.bool_)).age < 0.0
     assert np.array_equal(gone, (modes.AXIS[: modes.EFFECTS] == 1)[:, None] | (bank.age < 0.0))
+
+
+def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
+    bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
+    bank = inference.open_slots(bank, ALIKE, 0.0)
+    attitude, gyro = np.array([True, False, False]), np.array([False, True, False])
+    gone = (inference.disregard(bank, attitude, gyro).age < 0.0) & (bank.age >= 0.0)
+    effects, axis = modes.KIND[: modes.EFFECTS], modes.AXIS[: modes.EFFECTS]
+    expected = ((effects == modes.ATTITUDE) & (axis == 0)) | ((effects == modes.GYRO) & (axis == 1))
+    assert np.array_equal(gone.any(axis=-1), expected)
 
 
 def test_a_gyro_without_its_attitude_needs_new_evidence_and_nobody_else_does():
@@ -239,11 +287,11 @@ def test_a_gyro_without_its_attitude_needs_new_evidence_and_nobody_else_does():
 
 @pytest.mark.parametrize("sensor", [0, 1])
 def test_the_other_axes_of_a_failing_sensor_are_likelier_to_fail(sensor):
-    bank = inference.open_slots(inference.start_bank(np.zeros(3)), np.zeros(sum(SLOTS)), 1.0)
+    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, 1.0)
     well, ill = (inference.believe(bank, THERE, np.arange(2) == failing) for failing in (2, sensor))
     more = ill.log_weight - well.log_weight
     own = np.isin(modes.CHANGED, ([modes.GYRO], [modes.ATTITUDE])[sensor]) & modes.IS_FAULT
     began = well.log_weight > inference.LOWEST
-    assert began.any(axis=-1).all()
+    assert np.array_equal(began.any(axis=-1), modes.KIND != modes.RETURN)
     assert np.allclose(more[own[:, None] & began], np.log(modes.EVENTS / modes.FAULTS))
     assert not more[~own[:, None] & began].any()

@@ -9,8 +9,12 @@ With b ~ N(0, P0) the evidence for the mode, against none, is marginal in size a
 
     l = d' (J + 1/P0)^-1 d / 2 - ln det(I + P0 J) / 2
 
-Onsets have slots, in three rings. A ring takes an onset every `SPACING`; of its slots the least likely goes,
+Onsets have slots, in four rings. A ring takes an onset every `SPACING`; of its slots the least likely goes,
 and the oldest where nothing is likely. So a hypothesis "since 40 ms" has never used the samples since.
+
+An attitude that drifts may be right again before it is named: it jumps back to where the filter no longer is.
+A return is the likeliest fault of the attitude so far, with all that speaks for it. From its onset on that
+fault adds nothing, but U moves on.
 
 Models are wrong. How much noisier gyro and attitude are to these tests than the filter believes is learned,
 by axis and ring, where they are believed: the `temper`. J and d are divided by the largest of the rings, for
@@ -48,6 +52,7 @@ from quadftc_fdi.bank.modes import (
     PRIOR,
     PUSH,
     RATE,
+    RETURN,
     WILD,
     pattern,
 )
@@ -70,9 +75,9 @@ from quadftc_model.arrays import (
     where,
 )
 
-SPACING = (0.004, 0.04, 0.25)  # s; chosen: how often each ring takes an onset
-SLOTS = (9, 12, 11)  # 1; chosen: how many onsets each ring has, 32 in all
-RING = np.repeat(np.arange(3), SLOTS)
+SPACING = (0.004, 0.04, 0.25, 1.5)  # s; chosen: how often each ring takes an onset
+SLOTS = (9, 12, 11, 8)  # 1; chosen: how many onsets each ring has, 40 in all
+RING = np.repeat(np.arange(len(SLOTS)), SLOTS)
 FIRST = np.cumsum((0, *SLOTS))
 OF_GYRO, OF_ATTITUDE = range(2)  # channels
 TESTS = (slice(3, 6), slice(0, 3))  # modes that test a channel: of the gyro, of the attitude
@@ -83,6 +88,7 @@ NEVER = -1.0  # s; mark: age of a slot without an onset
 LOWEST = -1e9  # 1; mark: log weight of such a slot
 CERTAIN = 50.0  # 1; rounding: log of odds
 WILDS = slice(3 * WILD, None)  # modes
+ENDING = slice(3 * ATTITUDE, 3 * ATTITUDE + 3)  # modes that a return ends
 # log of the prior: rate times what a slot covers
 USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 
@@ -96,7 +102,8 @@ class Bank(NamedTuple):
     square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
     count: Array  # of these innovations (..., 2, axes, slots)
     age: Array  # of onsets (..., modes, slots) [s]
-    since: Array  # since each ring took an onset (..., 3) [s]
+    started: Array  # log of the prior of the fault that a return ends (..., axes, slots)
+    since: Array  # since each ring took an onset (..., rings) [s]
     temper: Array  # of both channels (..., 2, axes, rings)
     learned: Array  # how long that was learned (..., 2, axes, rings) [s]
 
@@ -116,8 +123,9 @@ def start_bank(like: Vector) -> Bank:
     modes = (EFFECTS, len(RING))
     J, temper = xp.zeros((*batch, 2, 3, *modes)), xp.zeros((*batch, 2, 3, len(SLOTS)))
     U, age = xp.zeros((*batch, STATES, 3, 2, *modes)), xp.zeros((*batch, *modes)) + NEVER
-    none, since = xp.zeros((*batch, 2, 3, len(RING))), xp.zeros_like(like) - LEARNING
-    return Bank(U, J, J[..., :2, :, :], none, none, age, since, temper + DOUBT, temper)
+    none, since = xp.zeros((*batch, 2, 3, len(RING))), xp.zeros((*batch, len(SLOTS))) - LEARNING
+    started = none[..., 0, :, :] + LOWEST
+    return Bank(U, J, J[..., :2, :, :], none, none, age, started, since, temper + DOUBT, temper)
 
 
 def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
@@ -141,14 +149,14 @@ def _cross(rate: Vector, theta: Array) -> Array:
 def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
     """Begin onsets at this sample in rings that are due.
 
-    ``worth`` (..., slots) is the log weight of the likeliest mode of each slot.
+    ``worth`` (..., modes, slots) is the log weight of the hypotheses so far.
     """
     xp = namespace(state.age)
     since = state.since + column(dt)
     due = since >= np.array(SPACING) - 1e-6
     age = where(state.age >= 0.0, state.age + column(column(dt)), NEVER)
     oldest = age.max(axis=-2)
-    keep = where(oldest >= 0.0, larger(worth, 0.0) - 1e-6 * oldest, LOWEST)
+    keep = where(oldest >= 0.0, larger(worth.max(axis=-2), 0.0) - 1e-6 * oldest, LOWEST)
     new: list[Array] = []
     for ring in range(len(SLOTS)):
         row = keep[..., FIRST[ring] : FIRST[ring + 1]]
@@ -157,15 +165,46 @@ def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
     fresh = xp.concatenate(new, axis=-1)[..., None, :]
     jump = np.zeros((STATES, 3, 2, EFFECTS, 1))
     jump[D, :, 0, :, 0] = pattern(PUSH)
+    best, started = _likeliest(state, worth)
     return state._replace(
-        U=where(fresh[..., None, None, None, :, :], jump, state.U),
-        J=where(fresh[..., None, None, :, :], 0.0, state.J),
-        d=where(fresh[..., None, None, :, :], 0.0, state.d),
+        U=where(fresh[..., None, None, None, :, :], jump + _returning(state.U, best), state.U),
+        J=where(fresh[..., None, None, :, :], _returning(state.J, best), state.J),
+        d=where(fresh[..., None, None, :, :], _returning(state.d, best), state.d),
+        started=where(fresh, started, state.started),
         square=where(fresh[..., None, :, :], 0.0, state.square),
         count=where(fresh[..., None, :, :], 0.0, state.count),
         age=where(fresh, 0.0, age),
         since=where(due, 0.0, since),
     )
+
+
+def _likeliest(state: Bank, worth: Array) -> tuple[Array, Array]:
+    """Return the likeliest fault of the attitude on each axis, 1 in its slot, and the log of its prior."""
+    began = state.age[..., ENDING, :] >= 0.0
+    likely = where(began, worth[..., ENDING, :], LOWEST)
+    highest = likely.max(axis=-1, keepdims=True)
+    best = 1.0 * (likely == highest)
+    best = best / best.sum(axis=-1, keepdims=True)
+    prior = (USUAL[ENDING] * best).sum(axis=-1, keepdims=True)
+    return best, where(highest > LOWEST, prior, LOWEST)
+
+
+def _returning(part: Array, best: Array) -> Array:
+    """Return what is known of the ``best`` faults (..., 3, slots), in rows of RETURN; zeros in all others."""
+    between = (None,) * (part.ndim - best.ndim)
+    known = (part[..., ENDING, :] * best[(..., *between, slice(None), slice(None))]).sum(
+        axis=-1, keepdims=True
+    )
+    none = namespace(part).zeros_like(known)
+    rows = [known if kind == RETURN else none for kind in range(EFFECTS // 3)]
+    return namespace(part).concatenate(rows, axis=-2)
+
+
+def disregard(state: Bank, attitude: Mask, gyro: Mask) -> Bank:
+    """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size."""
+    none = namespace(gyro).zeros_like(gyro)
+    stuck = namespace(gyro).concatenate([attitude, gyro, *[none] * (EFFECTS // 3 - 2)], axis=-1)
+    return state._replace(age=where(stuck[..., None], NEVER, state.age))
 
 
 def shape_of(state: Bank) -> Array:
@@ -234,8 +273,11 @@ def believe(state: Bank, witnessed: Mask, failing: Flag) -> Posterior:
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
     began = (state.age[..., EFFECT, :] >= 0.0) & (witnessed[..., AXIS] | (KIND != WILD))[..., None]
     prior = USUAL + where(failing[..., 1 * (CHANGED == ATTITUDE)] & IS_FAULT, MORE, 0.0)[..., None]
+    returns = (KIND == RETURN)[:, None]
+    prior = prior + where(returns, state.started[..., AXIS, :], 0.0)
     evidence, b, _ = _solved(joint_J, joint_d, PRIOR)
     misfit = (square - (joint_d * b).sum(axis=-3)) / larger(count, 1.0)
+    misfit = where(returns, misfit[..., AXIS, :], misfit)  # of a new fault of the attitude: no better
     doubt = _of_the_best(misfit, where(began, evidence + by_scatter + prior, LOWEST))  # (..., axes)
     of_modes = doubt[..., None, AXIS, None]
     evidence, b, covariance = _solved(joint_J / of_modes, joint_d / of_modes, PRIOR)

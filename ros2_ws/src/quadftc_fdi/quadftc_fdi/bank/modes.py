@@ -1,7 +1,7 @@
 """What can fail, and what else happens: one table, a row for each kind, three modes a row, one an axis.
 
-A mode adds b + s t to a reading, t after its onset, or b to the unknown acceleration at its onset. What is
-known of size b and slope s beforehand is normal about zero.
+A mode adds b + s t to a reading, t after its onset, or b to the unknown acceleration at its onset; a return
+ends what an earlier onset has added. What is known of size b and slope s beforehand is normal about zero.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-ATTITUDE, GYRO, PUSH, JUMP, WILD = range(5)  # rows of the kinds; the first three are what a mode changes
+# rows of the kinds; the first four have an effect of their own
+ATTITUDE, GYRO, PUSH, RETURN, JUMP, WILD = range(6)
 
 
 class Kind(NamedTuple):
@@ -39,12 +40,13 @@ KINDS = (
     Kind("attitude", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_SIZE, FAULTS),
     Kind("push", False, PUSH_SIZE, NONE, EVENTS),
+    Kind("attitude", False, ATTITUDE_SIZE, ATTITUDE_SLOPE, EVENTS),  # of a fault before it, which is over
     Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
-CHANGES = (ATTITUDE, GYRO, PUSH, ATTITUDE, GYRO)  # what each kind changes
+CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, GYRO)  # what each kind changes
 MODES = 3 * len(KINDS)
-EFFECTS = 9  # modes with an effect of their own: kinds that change the same share it
+EFFECTS = 12  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
 CHANGED = np.array(CHANGES)[KIND]

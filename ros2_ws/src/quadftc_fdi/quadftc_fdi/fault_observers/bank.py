@@ -65,7 +65,7 @@ class State(NamedTuple):
     gyro: Trust
     angles_read: Readings  # of the attitude [rad]
     rates_read: Readings  # of the gyro [rad/s]
-    worth: Array  # log weight of the likeliest mode of each slot (..., slots)
+    worth: Array  # log weight of the hypotheses (..., modes, slots)
     rate: Vector  # reading of the gyro at the last sample [rad/s]
     q_xyzw: Quaternion  # attitude read at the last sample
     torque: Vector  # behind its lag [N m]
@@ -105,7 +105,7 @@ class BankObserver(FlightLaw):
             gyro=full,
             angles_read=angles_read,
             rates_read=rates_read,
-            worth=bank.age[..., 0, :] + inference.LOWEST,
+            worth=bank.age[..., modes.EFFECT, :] + inference.LOWEST,
             rate=imu.body_rate,
             q_xyzw=imu.q_xyzw,
             torque=inputs.torque,
@@ -138,6 +138,7 @@ class BankObserver(FlightLaw):
         moved, known, torque = self._predict(state, inputs, read, turning, levels, dt)
         good = good_gyro, good_attitude
         bank, moved, by_attitude, off, added = self._measure(state, imu, moved, levels, good, dt)
+        bank = inference.disregard(bank, readings.is_stuck(attitude_read), readings.is_stuck(gyro_read))
         # believe
         failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude)])
         witnesses = good_attitude, good_gyro & ~state.gyro.faulty, column(inputs.driven)
@@ -174,7 +175,7 @@ class BankObserver(FlightLaw):
             gyro=gyro,
             angles_read=attitude_read,
             rates_read=gyro_read,
-            worth=posterior.log_weight.max(axis=-2),
+            worth=posterior.log_weight,
             rate=read,
             q_xyzw=where(column(there), imu.q_xyzw, state.q_xyzw),
             torque=torque,
@@ -270,16 +271,18 @@ class BankObserver(FlightLaw):
         """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
 
         Twice the certainty is needed where only one witness is left: the other sensor without a torque, or
-        the torque without the other sensor. It is needed of a jump of the attitude, too, which must have
-        stayed, and thrice of a push: both hide what began with them. A wild gyro must be so for as long as it
-        takes to hear vibration.
+        the torque without the other sensor. It is needed of an attitude that returns, and of one that jumps,
+        which must have stayed; thrice of a push: these hide what began with them. A wild gyro must be so for
+        as long as it takes to hear vibration.
         """
         few, kind = 1.0 - self.level, modes.KIND
         last = (modes.CHANGED == modes.GYRO) & ~good_attitude[..., modes.AXIS]
         last = last | ((kind == modes.ATTITUDE) & ~good_gyro[..., modes.AXIS]) | ~driven
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
-        least = where(last | stays | (kind == modes.WILD), few * few, where(modes.IS_FAULT, few, few**3))
-        takes = (kind != modes.ATTITUDE) | (not self.attitude_from_gyro)  # a jump is its estimator's
+        twice = last | stays | (kind == modes.RETURN) | (kind == modes.WILD)
+        least = where(twice, few * few, where(modes.IS_FAULT, few, few**3))
+        # a jump of an attitude that repeats the gyro is its estimator's
+        takes = ((kind != modes.ATTITUDE) & (kind != modes.RETURN)) | (not self.attitude_from_gyro)
         sure = doubt < least * takes
         heard = (kind != modes.WILD) | (aged > noise.LONG * p)
         return sure & (p == (p * sure).max(axis=-1, keepdims=True)) & heard
