@@ -113,9 +113,8 @@ def _rank(found: Found) -> tuple[bool, float]:
     finding = found.finding
     component = finding.component.split()[0]
     order = LATER.get(component, 0.0)
-    if found.is_direct or _is_fact(
-        found
-    ):  # tests by the velocity of satellites see what happens to it within their window
+    if found.is_direct or _is_fact(found):
+        # tests by the velocity of satellites see what happens to it within their window
         order = -SLACK if component == "gps" else 0.0
     return finding.probability < SUFFICES, finding.onset_s + order
 
