@@ -75,8 +75,9 @@ def inspect(
     found, judged = navigation_findings(flight, agreement, _longest(flight, None), fields)
     blamed = {each.finding.component for each in found}
     sound = [field for name, field in fields.items() if component_name(COMPASS, name) not in blamed]
-    progress(0.6)
+    progress(0.5)
     _sensors(flight, gyros, agreement, sound, inspection)
+    progress(0.7)
     inspection.found += found
     inspection.judged += judged
     rotors = _rotors(flight, baseline, inspection)
