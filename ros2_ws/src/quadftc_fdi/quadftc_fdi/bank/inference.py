@@ -88,7 +88,7 @@ NEVER = -1.0  # s; mark: age of a slot without an onset
 LOWEST = -1e9  # 1; mark: log weight of such a slot
 CERTAIN = 50.0  # 1; rounding: log of odds
 WILDS = slice(3 * WILD, None)  # modes
-ENDING = slice(3 * ATTITUDE, 3 * ATTITUDE + 3)  # modes that a return ends
+ENDING = TESTS[OF_ATTITUDE]  # modes that a return ends
 # log of the prior: rate times what a slot covers
 USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 

@@ -41,8 +41,8 @@ from quadftc_replay.inspection.rotor_step import (
 )
 from quadftc_replay.inspection.whitening import Floats, runs_of, scale
 
-BLOCK = 0.1  # s
-WHITE = 0.5  # 1; eta from which a stretch is noise
+BLOCK = 0.1  # s; a motion goes on for longer, and the noise of samples averages out
+WHITE = 0.5  # 1; eta from which a stretch is noise: half way between motion and white noise
 WINDOW = WINDOWS[1]  # s; over which the torque has to be asked for in vain
 
 
