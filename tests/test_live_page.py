@@ -105,8 +105,9 @@ def test_states_tell_faulty_ambiguous_and_unwatched_components():
     assert [states["gyro"][axis].name for axis in "xyz"] == ["ambiguous", "healthy", "healthy"]
     assert states["accelerometer"]["x"].name == "unwatched"
     assert "offset 2.86 ± 0.06 deg" in states["attitude"]["roll"].words
-    certain = shown(DiagnosisReport(2 * SECOND, ("attitude",), (fault._replace(ambiguous_with=()),)))
-    assert certain.states()["attitude"]["roll"].name == "faulty"
+    certain = fault._replace(ambiguous_with=(), kind="unknown")
+    state = shown(DiagnosisReport(2 * SECOND, ("attitude",), (certain,))).states()["attitude"]["roll"]
+    assert (state.name, state.words) == ("faulty", "2.86 ± 0.06 deg, since 1.00 s")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from quadftc_cli.live_page.picture import MODES, amount, level_of
+from quadftc_cli.live_page.picture import MODES, kind_and_size, level_of
 from quadftc_cli.screen import plain_table
 from quadftc_model.arrays import Vector
 from quadftc_model.rotations import euler_from_quaternion
@@ -124,5 +124,4 @@ class View:
 
 
 def _finding(fault: ComponentFault) -> str:
-    size = amount(fault.size, fault.std_dev, fault.unit)
-    return f"[red]{fault.component} {fault.element}[/] {fault.kind} {size}"
+    return f"[red]{fault.component} {fault.element}[/] {kind_and_size(fault)}"

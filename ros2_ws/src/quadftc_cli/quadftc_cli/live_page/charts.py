@@ -20,6 +20,7 @@ RATE_AT, GYRO_AT, CORRECTED_RATE_AT = 13, 16, 19
 INJECTED_AT, ESTIMATE_AT, LOW_AT, BAND_AT, TORQUE_AT = 22, 25, 28, 31, 34
 PLACE_REFERENCE_AT, PLACE_AT, ROTORS_AT = 37, 40, 43  # where the plant has a position
 TOP_VIEW = "top view: x right, y up"
+WITHOUT_ENDS = {"showMinLabel": False, "showMaxLabel": False}  # where an axis ends between two round numbers
 
 Options = dict[str, object]  # of an axis, as ECharts takes them
 Line = tuple[str, str, int, bool]  # name, colour, column, by axis
@@ -99,7 +100,7 @@ def _plan(picture: Picture) -> list[Chart]:
         del plan[1]
     if picture.rotors and "rotors/status" not in picture.silent:
         lines = [(f"{k + 1}", ROTORS[k % len(ROTORS)], ROTORS_AT + k, False) for k in range(picture.rotors)]
-        plan.append(("rotor effectiveness", "%", lines, {"min": 0, "max": 110}))
+        plan.append(("rotor effectiveness", "%", lines, {"min": 0, "max": 120, "interval": 40}))
     if picture.rotors:
         place = [("reference", REFERENCE, PLACE_REFERENCE_AT), ("vehicle", TRUTH, PLACE_AT)]
         plan.append(("position", "m", [(*line, True) for line in place], {}))
@@ -166,7 +167,7 @@ def _chart(title: str, unit: str, lines: list[Line], y_axis: Options) -> tuple[u
         "series": series,
     }
     if title == TOP_VIEW:
-        options["xAxis"] = {**options["yAxis"]}
+        options["yAxis"] = options["xAxis"] = options["yAxis"] | {"axisLabel": {**small, **WITHOUT_ENDS}}
         series[1]["markPoint"] = {"symbol": "circle", "symbolSize": 9, "data": []}
     # a narrow chart has its legend below the title
     narrow = {"legend": {"left": 4, "top": 22, "right": None}, "grid": {"top": 48}}

@@ -31,6 +31,7 @@ SPAN = 45  # rows, 3 s; over which the speed of the flight is measured
 LEVELS = ("ok", "warning", "error", "stale")
 MODES = ("full", "no diagnosis", "no disturbance estimate", "hold", "off")
 NOTHING = np.full(3, np.nan)
+NO_KIND = "unknown"  # what an observer says that does not tell kinds of faults apart
 
 
 class State(NamedTuple):
@@ -194,7 +195,7 @@ class Picture:
         """Describe a confirmed fault."""
         name = "ambiguous" if fault.ambiguous_with else "faulty" if fault.state == FAULTY else "recovering"
         onset = (fault.onset.sec * NANOSECONDS + fault.onset.nanosec - self.begin_ns) / NANOSECONDS
-        words = f"{fault.kind} {amount(fault.size, fault.std_dev, fault.unit)}, since {onset:.2f} s"
+        words = f"{kind_and_size(fault)}, since {onset:.2f} s"
         if fault.ambiguous_with:
             words += f"; or {', '.join(each.replace('/', ' ') for each in fault.ambiguous_with)}"
         return State(name, words)
@@ -225,6 +226,12 @@ class Picture:
             if name.endswith(f"{node}: {part}"):  # behind the namespace
                 return next((pair.value for pair in status.values if pair.key == key), "")
         return ""
+
+
+def kind_and_size(fault: ComponentFault) -> str:
+    """Write what a fault looks like and how large it is; the size alone where the observer tells no kind."""
+    size = amount(fault.size, fault.std_dev, fault.unit)
+    return size if fault.kind == NO_KIND else f"{fault.kind} {size}"
 
 
 def amount(size: float, std_dev: float, unit: str) -> str:
