@@ -54,9 +54,9 @@ def bag(tmp_path_factory) -> Path:
 
 
 def player_of(path: Path, speed: float = 1.0):
-    recorded = read_recorded(path)
+    (recorded,) = read_recorded(path)
     picture = picture_of(recorded.flown)
-    return Player(recorded, picture, speed), picture
+    return Player([recorded], [picture], speed), picture
 
 
 def pitch(picture, role: str) -> float:
@@ -109,7 +109,7 @@ def test_recorded_flight_pauses_ends_and_begins_again(bag):
 
 
 def test_page_of_a_recorded_flight_says_what_flew_and_failed(bag):
-    recorded = read_recorded(bag)
+    (recorded,) = read_recorded(bag)
     flown = recorded.flown
     assert (flown.title, flown.plant) == ("a hover with one fault", "free_flight")
     assert flown.parts == "x500, observer isolating, controller ismc, 100 Hz, recorded"
@@ -140,7 +140,7 @@ def test_bag_of_a_bare_imu_plays_without_charts_that_stay_empty(tmp_path):
     player.step(0.6)
     assert "measured" in picture.latest.attitudes()
     assert [chart[0] for chart in charts._plan(picture)] == ["attitude", "body rate", "torque command"]
-    assert read_recorded(path).warnings == (f"{path}: says of no vehicle; drawn as qball_x4",)
+    assert read_recorded(path)[0].warnings == (f"{path}: says of no vehicle; drawn as qball_x4",)
 
 
 def test_topic_of_another_type_and_what_is_no_message_are_left_out(tmp_path):
@@ -153,25 +153,45 @@ def test_topic_of_another_type_and_what_is_no_message_are_left_out(tmp_path):
     assert picture.states()["gyro"]["x"].name == "unwatched"
 
 
-def test_namespace_chooses_one_of_several_vehicles(tmp_path):
+def two_vehicles(folder: Path) -> Path:
     rows = [*samples("/a/imu/data"), *samples("/b/imu/data", (1.2, 2.0, 4.2))]
-    names = {"/a/imu/data": IMU, "/b/imu/data": IMU}
-    path = write(tmp_path / "two", sorted(rows, key=lambda row: row[1]), names)
-    with pytest.raises(BagError, match=r"more than one namespace.*; --namespace chooses one"):
-        read_recorded(path)
-    assert read_recorded(path, "b").times[-1] == pytest.approx(3.0)
-    assert {topic for topic, _ in read_recorded(path, "/b/").messages} == {"imu/data"}
+    rows += [("/b/torque/command", 2.0, VectorWire("base_link")(2_000_000_000, np.ones(3)))]
+    names = {"/a/imu/data": IMU, "/b/imu/data": IMU, "/b/torque/command": VECTOR}
+    return write(folder / "two", sorted(rows, key=lambda row: row[1]), names)
+
+
+def test_namespace_takes_one_of_several_vehicles_alone(tmp_path):
+    path = two_vehicles(tmp_path)
+    (recorded,) = read_recorded(path, "b")
+    assert recorded.times[-1] == pytest.approx(3.0)
+    assert {topic for topic, _ in read_recorded(path, "/b/")[0].messages} == {"imu/data", "torque/command"}
     with pytest.raises(
         BagError, match=r"no message on c/imu/data .*; topics there: /a/imu/data, /b/imu/data"
     ):
         read_recorded(path, "c")
 
 
+def test_all_vehicles_of_a_bag_play_at_the_same_time(tmp_path):
+    vehicles = read_recorded(two_vehicles(tmp_path))
+    assert [each.flown.namespace for each in vehicles] == ["a", "b"]
+    pictures = [picture_of(each.flown) for each in vehicles]
+    player = Player(vehicles, pictures, 1.0)
+    assert player.duration == pytest.approx(3.2)
+    player.step(0.9)
+    assert [picture.time for picture in pictures] == pytest.approx([0.5, 0.2])
+    player.wanted = 1.1
+    player.step(0.0)
+    assert [picture.time for picture in pictures] == pytest.approx([1.0, 1.0])
+    torque = slice(charts.TORQUE_AT, charts.TORQUE_AT + 3)
+    assert np.isnan(pictures[0].rows[-1][torque]).all()
+    assert pictures[1].rows[-1][torque] == [1.0] * 3
+
+
 def test_bag_that_was_cut_short_plays_up_to_there(bag, tmp_path):
     (file,) = bag.rglob("*.mcap")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    recorded = read_recorded(cut)
+    (recorded,) = read_recorded(cut)
     assert 1.0 < recorded.times[-1] < 7.0
     assert recorded.warnings == (
         f"{cut}: cut short; played up to there; to make it whole, run quadftc repair {cut}",

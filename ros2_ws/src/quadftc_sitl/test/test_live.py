@@ -75,9 +75,9 @@ def test_fault_by_hand_is_in_truth_and_bag_and_ctrl_c_lands(tmp_path, monkeypatc
     series = read_bag(tmp_path / "out" / "bag").series("fault/injected/gyro")
     faulty = series["stamp_ns"][series["vector"][:, 1] > 0.15]
     assert 1e-9 * (faulty[-1] - faulty[0]) == pytest.approx(fault["stop"] - fault["start"], abs=0.02)
-    recorded = read_recorded(tmp_path / "out")  # the page plays it, too
+    (recorded,) = read_recorded(tmp_path / "out")  # the page plays it, too
     picture = picture_of(recorded.flown)
-    player = Player(recorded, picture, 1.0)
+    player = Player([recorded], [picture], 1.0)
     (event,) = recorded.events
     player.wanted = event.start + 0.25
     player.step(0.0)

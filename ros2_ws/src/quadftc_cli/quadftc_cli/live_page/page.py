@@ -68,6 +68,7 @@ class Vehicle(NamedTuple):
     commander: Commander
     flown: Flown
     player: Player | None = None  # of a recorded flight
+    events: tuple[FaultEvent, ...] = ()  # its faults
 
 
 def add_page(app: FastAPI, vehicles: Sequence[Vehicle]) -> None:
@@ -95,8 +96,8 @@ class _Page:
     """One page, for as long as a browser shows it."""
 
     def __init__(self, vehicle: Vehicle, number: int, names: Mapping[int, str]) -> None:
-        self._picture, self._commander, self._flown, self._player = vehicle
-        picture, _, flown, player = vehicle
+        self._picture, self._commander, self._flown, self._player, events = vehicle
+        picture, _, flown, player, _ = vehicle
         self._chips: dict[str, ui.label] = {}
         self._shown: dict[str, ui.label] = {}
         with ui.element("div").classes("page"):
@@ -114,7 +115,7 @@ class _Page:
                 if flown.home is not None:
                     self._setpoints()
                 if player is not None:
-                    self._recorded_faults(player)
+                    self._recorded_faults(player, events)
             with ui.element("div").classes("lower"):
                 self._axis_choice()
                 self._charts = StripCharts(picture)
@@ -231,7 +232,7 @@ class _Page:
             choice = ui.select(speeds, value=player.speed, on_change=hasten)
             choice.props('dense borderless options-dense aria-label="speed" data-speed')
 
-    def _recorded_faults(self, player: Player) -> None:
+    def _recorded_faults(self, player: Player, events: Sequence[FaultEvent]) -> None:
         """List the faults of a recording, each with a way there."""
 
         def go(event: FaultEvent) -> None:
@@ -242,11 +243,11 @@ class _Page:
         with ui.element("section"):
             ui.label("Faults in the recording").classes("heading-2")
             with ui.element("div").classes("buttons recorded"):
-                for event in player.events[:MOST]:
+                for event in events[:MOST]:
                     button = ui.button(words_of(event), color=None, on_click=partial(go, event))
                     button.props("unelevated no-caps dense align=left data-event")
-            more = f"{len(player.events) - MOST} more. " if len(player.events) > MOST else ""
-            ui.label(f"{more or ('' if player.events else 'None known. ')}A recording takes no new faults.")
+            more = f"{len(events) - MOST} more. " if len(events) > MOST else ""
+            ui.label(f"{more or ('' if events else 'None known. ')}A recording takes no new faults.")
 
     def _axis_choice(self) -> None:
         def choose(event: ValueChangeEventArguments) -> None:

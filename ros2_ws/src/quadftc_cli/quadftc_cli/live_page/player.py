@@ -1,5 +1,5 @@
 # pyright: basic
-"""``quadftc live --bag``: a recorded flight that plays into a picture, in the process of the page.
+"""``quadftc live --bag``: a recorded flight plays into the pictures of its vehicles, in the page's process.
 
 Times [s] are those of the flight, since its first IMU sample.
 """
@@ -9,7 +9,9 @@ from __future__ import annotations
 import asyncio
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -43,23 +45,32 @@ TRUTH = (*INJECTED.values(), "rotors/fault", "rotors/speed")
 
 
 class Recorded(NamedTuple):
-    """A bag as the page needs it."""
+    """What a bag says of a vehicle; times since the first IMU sample of any vehicle in it."""
 
     flown: Flown
-    begin_ns: int  # stamp of the first sample
+    begin_ns: int  # stamp of that sample
     times: list[float]  # of the messages, rising [s]
     messages: list[tuple[str, bytes]]  # topic, relative to the namespace, and data
     events: tuple[FaultEvent, ...]  # the faults that were injected
     warnings: tuple[str, ...]  # one line each
 
 
-def read_recorded(path: Path, namespace: str = "") -> Recorded:
-    """Read a bag, or the folder of one flight; a `BagError` says in one line why the page cannot play it."""
+def read_recorded(path: Path, namespace: str = "") -> list[Recorded]:
+    """Read all vehicles of a bag, or of the folder of one flight; of a ``namespace`` its vehicle alone.
+
+    A `BagError` says in one line why the page cannot play it.
+    """
     found = find_runs([path])
     if len(found) > 1:
         raise BagError(f"{path}: holds {len(found)} flights; give one of them, such as {found[0]}")
     bag = read_bag(found[0], [*SHOWN, *TRUTH, DIAGNOSTICS])
-    prefix = _prefix_of(bag, namespace)
+    vehicles = [_vehicle_of(bag, prefix) for prefix in _prefixes_of(bag, namespace)]
+    begin_ns = min(each.begin_ns for each in vehicles)
+    return [_since(begin_ns, each) for each in vehicles]
+
+
+def _vehicle_of(bag: Bag, prefix: str) -> Recorded:
+    """Return the vehicle whose topics have a prefix; times since its own first sample."""
     names = {name: name if name == DIAGNOSTICS else name.removeprefix(prefix) for name in bag.topics}
     topics = {
         name: short
@@ -72,7 +83,7 @@ def read_recorded(path: Path, namespace: str = "") -> Recorded:
     times = np.maximum.accumulate(flight_times(log_ns, samples.log_time_ns, samples.stamp_ns))
     if not times[-1] > 0.0:
         raise BagError(f"{bag.path}: {len(samples)} samples at one moment on {prefix}{SAMPLES}")
-    flown = _flown(bag, {*topics.values()}, len(samples) / times[-1])
+    flown = _flown(bag, {*topics.values()}, len(samples) / times[-1])._replace(namespace=prefix.strip("/"))
     warnings = [f"{bag.path}: cut short; played up to there{bag.remedy}"] if bag.truncated else []
     if not flown.vehicle:
         flown = flown._replace(vehicle=VEHICLE)
@@ -87,30 +98,37 @@ def read_recorded(path: Path, namespace: str = "") -> Recorded:
     )
 
 
+def _since(begin_ns: int, vehicle: Recorded) -> Recorded:
+    """Count the times of a vehicle from a stamp."""
+    late = (vehicle.begin_ns - begin_ns) * 1e-9
+    events = (each._replace(start=each.start + late, stop=each.stop + late) for each in vehicle.events)
+    times = [late + time for time in vehicle.times]
+    return vehicle._replace(begin_ns=begin_ns, times=times, events=tuple(events))
+
+
 def _events_of(bag: Bag, topics: Mapping[str, str]) -> tuple[FaultEvent, ...]:
     """Return the faults that were injected; ``topics`` of the bag by their full names."""
     needed = (SAMPLES, *TRUTH, DIAGNOSTICS)
-    bag.topics = {name: bag.topics[name] for name, short in topics.items() if short in needed}
-    flight = flight_from_bag(bag)
-    events = with_kinds(bag, (*events_of(flight), *rotor_events_of(flight)))
+    part = copy(bag)
+    part.topics = {name: bag.topics[name] for name, short in topics.items() if short in needed}
+    flight = flight_from_bag(part)
+    events = with_kinds(part, (*events_of(flight), *rotor_events_of(flight)))
     return tuple(sorted(events, key=lambda event: event.start))
 
 
-def _prefix_of(bag: Bag, namespace: str) -> str:
-    """Return what stands before the names of the vehicle's topics; BagError without its IMU samples."""
-    wanted = f"{namespace}/{SAMPLES}".lstrip("/").replace("//", "/")
-    try:
-        full = bag.resolve(wanted)
-    except BagError as error:
-        if "more than one" in str(error):
-            raise BagError(f"{error}; --namespace chooses one") from None
-        full = ""
-    topic = bag.topics.get(full)
-    if topic is None or not topic.count or topic.type_name != TOPICS[SAMPLES].type_name:
+def _prefixes_of(bag: Bag, namespace: str) -> list[str]:
+    """Return what stands before the names of each vehicle's topics; BagError where none has IMU samples."""
+    wanted = f"{namespace.strip('/')}/{SAMPLES}".lstrip("/")
+    found = [
+        name.removesuffix(SAMPLES)
+        for name, topic in bag.topics.items()
+        if f"/{name}".endswith(f"/{wanted}") and topic.count and topic.type_name == TOPICS[SAMPLES].type_name
+    ]
+    if not found:
         there = ", ".join(sorted(name for name, each in bag_topics(bag.path).items() if each.count)) or "none"
         missing = f"no message on {wanted} ({TOPICS[SAMPLES].type_name})"
         raise BagError(f"{bag.path}: {missing}; topics there: {there}{bag.remedy}")
-    return full.removesuffix(SAMPLES)
+    return sorted(found)
 
 
 def _flown(bag: Bag, topics: set[str], rate: float) -> Flown:
@@ -146,17 +164,24 @@ def _parsed(bag: Bag, name: str, parse: Callable[[str], dict[str, T]]) -> dict[s
 
 
 class Player:
-    """Where a recorded flight is, and whether it goes on."""
+    """Where a recorded flight is, and whether it goes on; all its vehicles are at the same time."""
 
-    def __init__(self, recorded: Recorded, picture: Picture, speed: float) -> None:
-        self.events, self.duration = recorded.events, recorded.times[-1]
+    def __init__(self, vehicles: Sequence[Recorded], pictures: Sequence[Picture], speed: float) -> None:
+        self.duration = max(each.times[-1] for each in vehicles)
         self.speed, self.playing = speed, True
         self.time = 0.0
         self.wanted: float | None = None  # time to go to, which the charts show with what was before
-        self._times, self._messages, self._next = recorded.times, recorded.messages, 0
-        self._picture = picture
-        picture.begin_ns = recorded.begin_ns
-        picture.silent = frozenset(SHOWN) - {topic for topic, _ in recorded.messages}
+        rows = [
+            (time, number, *message)
+            for number, each in enumerate(vehicles)
+            for time, message in zip(each.times, each.messages, strict=True)
+        ]
+        self._rows, self._next = sorted(rows, key=itemgetter(0)), 0
+        self._times = [row[0] for row in self._rows]
+        self._pictures = pictures
+        for picture, each in zip(pictures, vehicles, strict=True):
+            picture.begin_ns = each.begin_ns
+            picture.silent = frozenset(SHOWN) - {topic for topic, _ in each.messages}
 
     async def run(self) -> None:
         """Play in real time, until cancelled."""
@@ -182,23 +207,25 @@ class Player:
 
     def _seek(self, moment: float) -> None:
         moment, self.wanted = min(max(moment, 0.0), self.duration), None
-        self._picture.forget()
+        for picture in self._pictures:
+            picture.forget()
         self.time = max(0.0, moment - WINDOW)
         self._next = bisect_left(self._times, self.time)
         self._show(moment)
 
     def _show(self, moment: float) -> None:
-        """Give the picture what comes up to a time [s], in frames as of a flight."""
+        """Give the pictures what comes up to a time [s], in frames as of a flight."""
         while True:
             self.time = min(self.time + PERIOD, moment)
             end = bisect_right(self._times, self.time, self._next)
-            frame = Frame({}, [])
-            for topic, data in self._messages[self._next : end]:
+            frames = [Frame({}, []) for _ in self._pictures]
+            for _, number, topic, data in self._rows[self._next : end]:
                 if topic == DIAGNOSTICS:
-                    frame.diagnostics.append(data)
+                    frames[number].diagnostics.append(data)
                 else:
-                    frame.last[topic] = data
+                    frames[number].last[topic] = data
             self._next = end
-            self._picture.take(frame)
+            for picture, frame in zip(self._pictures, frames, strict=True):
+                picture.take(frame)
             if self.time >= moment:
                 return

@@ -135,12 +135,21 @@ def main(channel: int, listener: int, flown: str, *options: str) -> None:
 def show_recorded(bag: Path, speed: float, namespace: str, port: int, opens: bool) -> None:
     """Serve the page of a recorded flight until Ctrl-C; a ValueError says what is wrong with it."""
     recorded = read_recorded(bag, namespace)
-    flown, picture = recorded.flown, picture_of(recorded.flown)
-    player = Player(recorded, picture, speed)
-    vehicle = Vehicle(picture, Commander(""), flown, player)
+    every = [each.flown for each in recorded]
+    pictures = [picture_of(flown, *every) for flown in every]
+    player = Player(recorded, pictures, speed)
+    vehicles = [
+        Vehicle(picture, Commander(""), each.flown, player, each.events)
+        for picture, each in zip(pictures, recorded, strict=True)
+    ]
+    said = dict.fromkeys(line for each in recorded for line in (_heading(each.flown), *each.warnings))
     with private_files(), listen(port) as listener, contextlib.suppress(KeyboardInterrupt):
-        say(f"{flown.title}: {flown.parts}", *recorded.warnings, stderr=True)
-        serve(make_app([vehicle], listener, partial(playing, player), opens), listener, [])
+        say(*said, stderr=True)
+        serve(make_app(vehicles, listener, partial(playing, player), opens), listener, [])
+
+
+def _heading(flown: Flown) -> str:
+    return f"{f'{flown.namespace}: ' if flown.namespace else ''}{flown.title}: {flown.parts}"
 
 
 def serve(app: FastAPI, listener: socket.socket, server: list[uvicorn.Server]) -> None:
