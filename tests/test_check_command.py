@@ -40,7 +40,7 @@ def check(*arguments: str | Path) -> Done:
 
 
 def test_a_recorded_run_is_judged_along_its_way(run):
-    done = check(run, "--json")
+    done = check(run.parent, "--json")
     assert done.returncode in (0, 1), done.stderr
     report = json.loads(done.stdout)
     along = next(section for section in report["sections"] if section["title"] == "along the recorded run")

@@ -66,6 +66,7 @@ def flown(tmp_path_factory) -> tuple[Path, Done]:
 def test_run_writes_bag_and_summary_and_exits_with_0(flown):
     folder, done = flown
     assert done.returncode == 0, done.stderr
+    assert not done.stdout.startswith("\n"), "an empty line first"
     run = folder / "out" / "tiny-proposed"
     topics = read_bag(run).topics
     assert topics["/imu/data"].count == 125
@@ -127,6 +128,14 @@ def test_options_reach_the_nodes(folder: Path):
         (("run", "tiny.yaml", "--mode", "dream"), ("dream", "lockstep")),
         (("run", "tiny.yaml", "--label", "a/b"), ("label 'a/b'", "letters")),
         (("run",), ("scenarios",)),
+        (("run", "./"), (".: a directory; expected a file",)),
+        (("campaign", "empty.yaml"), ("empty.yaml:1: empty; expected a mapping",)),
+        (("check", "binary.yaml"), ("binary.yaml: no text in UTF-8, from byte 4 on",)),
+        (
+            ("export", "tiny.yaml", "--log", "x", "--out", "y"),
+            ("Invalid value for '--log': 'x' is not",),
+        ),
+        (("sitl", "tiny.yaml"), ("error: Missing option '--autopilot'. Choose from: ardupilot, px4\n",)),
         (("fly",), ("fly",)),
         (("list", "unicorns"), ("unicorns", "controllers")),
         (("run", "tiny.yaml", "--wait", "poll"), ("lock-step",)),
@@ -137,6 +146,8 @@ def test_wrong_input_exits_with_2_and_says_what_was_expected(
     folder: Path, arguments: tuple[str, ...], words: tuple[str, ...]
 ):
     (folder / "wrong.yaml").write_text(SCENARIO.replace("1 deg", "1 dge"), encoding="utf-8")
+    (folder / "empty.yaml").touch()
+    (folder / "binary.yaml").write_bytes(b"name\xff")
     done = call_quadftc(*arguments)
     assert done.returncode == 2
     assert all(word in done.stderr for word in words), done.stderr
@@ -210,12 +221,13 @@ def test_list_shows_what_there_is(folder: Path, kind: str):
         "scenarios": ("paper_faults", "mems_faults", "250 Hz"),
     }
     assert [name for name in names[kind] if name not in done.stdout] == []
+    assert "`" not in done.stdout
 
 
 def test_doctor_finds_this_installation_well(folder: Path):
     done = run_installed("doctor")
     assert done.returncode == 0, done.stdout
-    assert "BAD" not in done.stdout
+    assert {line.split()[0] for line in done.stdout.splitlines()} == {"good"}
 
 
 def test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there(folder: Path):

@@ -108,7 +108,7 @@ def test_every_law_is_exported_without_a_warning(name, real, flies, tmp_path):
         ),
         (["isolating", "--vehicle", "x5oo", "--out", "OUT"], "x5oo"),
         (["isolating", "--out", "OUT"], "expected LAW and --vehicle, or --samples BAG"),
-        (["isolating", "--vehicle", "x500"], "--out: where to"),
+        (["isolating", "--vehicle", "x500"], "Missing option '--out'"),
         (["sliding_mode", "--vehicle", "x500", "--set", "delt=1", "--out", "OUT"], "delt"),
         (["sliding_mode", "--vehicle", "x500", "--set", "delta", "--out", "OUT"], "expected parameter=value"),
         (["sliding_mode", "--vehicle", "x500", "--out", "/proc/law"], "/proc/law"),

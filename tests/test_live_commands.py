@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -147,6 +148,17 @@ def test_wrong_node_is_named_with_those_there_are(served, monkeypatch):
     monkeypatch.setattr(live, "PATIENCE", 0.5)
     with pytest.raises(GraphError, match=r"no node wrong_name in ROS domain .*; there are .*fault_injector"):
         set_("wrong_name", ["setpoint.bandwidth=3"])
+
+
+def test_vehicle_that_does_not_fly_is_waited_for_once(monkeypatch):
+    from quadftc_cli import live
+    from quadftc_flight.graph.plan import GraphError
+
+    monkeypatch.setattr(live, "PATIENCE", 0.5)
+    begin = time.monotonic()
+    with live.LiveGraph("nowhere") as graph, pytest.raises(GraphError, match="controller"):
+        graph.choose_vehicle("controller/get_parameters")
+    assert time.monotonic() - begin < 0.95
 
 
 def test_parameter_is_set_by_a_command(served, capfd):

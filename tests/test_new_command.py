@@ -90,7 +90,7 @@ def test_package_registers_its_law_by_an_entry_point(tmp_path, kind):
 @pytest.mark.parametrize(
     ("kind", "name", "words"),
     [
-        ("observer", "isolating", "the name of a observer that exists"),
+        ("observer", "isolating", "exists already, see quadftc list observers"),
         ("observer", "My", "small letters"),
         ("observer", "class", "small letters"),
         ("plant", "mine", "expected one of observer, controller, fault"),

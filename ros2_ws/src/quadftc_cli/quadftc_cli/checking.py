@@ -15,7 +15,7 @@ from rich.table import Table
 
 from quadftc_bags.bag import BagError
 from quadftc_cli.screen import console, plain_table, say, warn
-from quadftc_flight.run_directory import read_run
+from quadftc_flight.run_directory import find_run, read_run
 from quadftc_flight.scenario import find_scenario, load_scenario, with_components
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_model.vehicle_page import page_rows, plan, warnings
@@ -73,7 +73,7 @@ def check_target(
 
 def _check_recorded(recorded: Path, asked: str, output: Literal["imu", "angles"]) -> CheckReport:
     """Check a recorded run, of the scenario asked for, if any."""
-    run = read_run(recorded)
+    run = read_run(find_run(recorded))
     warn(run.warnings)
     if asked and (name := load_scenario(find_scenario(asked), []).name) != run.scenario.name:
         raise BagError(f"{recorded}: is a run of scenario '{run.scenario.name}', not of '{name}'")

@@ -83,9 +83,9 @@ class LiveGraph(NodeHost):
 
         Return the first of them that it offers.
         """
-        self.until(lambda: any(map(self.offers, services)))
+        patience = None if self.until(lambda: any(map(self.offers, services))) else 0.0
         service = next(filter(self.offers, services), services[0])
-        self.namespace = self.full_name(service)[: -len(service)].strip("/")
+        self.namespace = self.full_name(service, patience)[: -len(service)].strip("/")
         return service
 
     def offers(self, name: str) -> bool:
@@ -93,11 +93,11 @@ class LiveGraph(NodeHost):
         there = self.namespaces(name)
         return self.namespace in there if self.namespace else bool(there)
 
-    def full_name(self, name: str) -> str:
+    def full_name(self, name: str, patience: float | None = None) -> str:
         """Return the full name of a service of the vehicle, once it is there; a GraphError says what is."""
         full = absolute(self.namespace, name)
-        if self.namespace or self.until(lambda: self.namespaces(name)):
-            self.until(lambda: full in self._services(), PATIENCE if self.namespace else OTHERS)
+        if self.namespace or self.until(lambda: self.namespaces(name), patience):
+            self.until(lambda: full in self._services(), patience if self.namespace else OTHERS)
         there = self.namespaces(name)
         if self.namespace in there:
             return full

@@ -38,6 +38,7 @@ EXTRAS = {
     "batch": ("jax", "optax", "polars"),
     "isolability": ("sympy",),
 }
+PYDANTIC = "Value error, "  # what pydantic writes before the words of a refused option
 MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters
 PATHS_FAULT = (
     *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG),
@@ -147,7 +148,8 @@ def guarded(arguments: list[str], command: typer.Typer = app) -> int:
         result = command(arguments or ["--help"], standalone_mode=False)
         return result if isinstance(result, int) else GOOD
     except typer.TyperException as error:
-        return _refuse(error.format_message() if hasattr(error, "format_message") else str(error))
+        words = error.format_message() if hasattr(error, "format_message") else str(error)
+        return _refuse(" ".join(words.replace(PYDANTIC, "").split()))
     except ValueError as error:
         return _refuse(str(error))
     except (KeyboardInterrupt, typer.Abort):
@@ -162,7 +164,7 @@ def guarded(arguments: list[str], command: typer.Typer = app) -> int:
             _say_error(f"error: {error}")
             return INTERNAL
         if isinstance(error, OSError) and error.errno in PATHS_FAULT:
-            return _refuse(f"{error.filename or 'a file'}: {error.strerror}")
+            return _refuse(f"{error.filename or 'standard output'}: {error.strerror}")
         _say_error(_shortened(f"internal error: {type(error).__name__}: {error}"))
         if os.environ.get("QUADFTC_DEBUG"):
             import traceback

@@ -85,9 +85,9 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
     if kind not in KINDS:
         raise ValueError(f"{kind}: expected one of {', '.join(KINDS)}")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name) or name.startswith("quadftc"):
-        raise ValueError(f"{name}: expected small letters, digits and _, as my_{kind}; not quadftc...")
+        raise ValueError(f"{name}: expected small letters, digits, _, as my_{kind}; quadftc begins its own")
     if name in KINDS[kind].registry.names():
-        raise ValueError(f"{name}: the name of a {kind} that exists")
+        raise ValueError(f"{name}: exists already, see quadftc list {kind}s")
     folder = directory / name
     if folder.exists():
         raise ValueError(f"{folder}: exists")

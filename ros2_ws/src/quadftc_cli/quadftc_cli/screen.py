@@ -82,4 +82,9 @@ class Bars(progress.Progress):
         under_way = [f"{name} {share:.0%}" for name, share in self._shares.items() if 0.0 < share < 1.0]
         if under_way and not self.console.is_terminal and time.monotonic() >= self._next_line:
             self._next_line = time.monotonic() + LINE_PERIOD
-            say(", ".join(under_way))
+            say(", ".join(under_way), stderr=True)
+
+    def stop(self) -> None:
+        """End the bars; where there is no terminal, rich would print an empty line."""
+        if self.console.is_terminal:
+            super().stop()

@@ -212,6 +212,14 @@ def versions_of(stored: Mapping[str, object], bag: Bag) -> dict[str, str]:
     return {str(key): str(value) for key, value in given.items() if key != "mode"}
 
 
+def find_run(path: Path) -> Path:
+    """Find the only run at a path; BagError if there are several, or as `find_runs`."""
+    found = find_runs([path])
+    if len(found) > 1:
+        raise BagError(f"{path}: holds {len(found)} flights; give one of them, such as {found[0]}")
+    return found[0]
+
+
 def _runs_at(path: Path) -> list[Path]:
     if not path.exists():
         raise BagError(f"{path}: no such file or directory")

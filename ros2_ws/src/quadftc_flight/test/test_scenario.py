@@ -262,8 +262,8 @@ def test_a_mistake_is_refused_with_its_line_and_key(old, new, key, what):
             TEXT.replace("controller: pid", "observer: none"),
             "tried.yaml:27: schemes.plain.controller: missing key",
         ),
-        ("", "tried.yaml:1: empty; expected a scenario"),
-        ("# nothing\n", "tried.yaml:1: empty; expected a scenario"),
+        ("", "tried.yaml:1: empty; expected a mapping of keys"),
+        ("# nothing\n", "tried.yaml:1: empty; expected a mapping of keys"),
         ("- a\n", "tried.yaml:1: expected a mapping of keys such as 'duration: 80 s'"),
         ("name: x\nrate: [1\n", "tried.yaml:3: not YAML: "),
         ("name: x\nrate: a: b\n", "tried.yaml:2: not YAML: mapping values are not allowed here"),
@@ -440,6 +440,8 @@ def test_scenarios_are_found_by_name_and_by_path(tmp_path, monkeypatch):
     assert find_scenario(str(tmp_path / "mine.yaml")) == tmp_path / "mine.yaml"
     with pytest.raises(ScenarioError, match=r"no scenario 'paper_fault' .did you mean 'paper_faults'"):
         find_scenario("paper_fault")
+    with pytest.raises(ScenarioError, match=r"a directory; expected a file"):
+        find_scenario(str(tmp_path))
     with pytest.raises(ScenarioError, match=r"yours\.yaml: no such file"):
         find_scenario("yours.yaml")
     with pytest.raises(ScenarioError, match="Is a directory"):

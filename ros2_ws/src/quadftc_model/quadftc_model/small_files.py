@@ -20,7 +20,10 @@ def read_small(path: Path) -> str:
         content = file.read(LARGEST + 1)
     if len(content) > LARGEST:
         raise ValueError(f"larger than {LARGEST >> 10} KiB; expected a file as people write it")
-    return content.decode("utf-8").replace("\r\n", "\n")
+    try:
+        return content.decode("utf-8").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"no text in UTF-8, from byte {error.start} on") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -80,7 +80,7 @@ def _components(kind: str) -> Table:
     for name in registry.names():
         component = registry.get(name)
         rows = parameters_of(component)
-        summary = (inspect.getdoc(component) or "").partition("\n")[0]
+        summary = (inspect.getdoc(component) or "").partition("\n\n")[0].replace("`", "")
         table.add_row(f"[bold]{name}[/]", summary, *(_cells(rows[0]) if rows else ("",) * 4))
         for row in rows[1:]:
             table.add_row("", "", *_cells(row))

@@ -43,9 +43,10 @@ def doctor() -> None:
 def _examine(part: str, check: Callable[[], str], mend: str) -> bool:
     screen = console()
     try:
-        screen.print(f"[green]good[/] {part}: {check()}")
+        screen.print(f"[green]good[/] {part}: {check()}", soft_wrap=True)
     except Exception as error:  # whatever is wrong is what the doctor is asked for
-        screen.print(f"[red]BAD [/] {part}: {' '.join(str(error).split()) or type(error).__name__}")
+        words = " ".join(str(error).split()) or type(error).__name__
+        screen.print(f"[red]BAD [/] {part}: {words}", soft_wrap=True)
         screen.print(f"     {mend}")
         return False
     return True

@@ -70,7 +70,7 @@ def export(
     The C needs libm alone. Beside it are its numbers, an example that reads samples, and how to build it.
     """
     if out is None:
-        raise ValueError("export: --out: where to")
+        raise ValueError("Missing option '--out': a directory for the C, a file for samples or a log")
     is_file = samples is not None or log is not None
     if out.exists() and not force and (is_file or not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"{out}: exists; choose another place, or --force")

@@ -30,7 +30,7 @@ from quadftc_flight.run_directory import (
     PARAMETERS,
     SCENARIO,
     attached_text,
-    find_runs,
+    find_run,
     parse_parameters,
     run_name,
 )
@@ -60,10 +60,7 @@ def read_recorded(path: Path, namespace: str = "") -> list[Recorded]:
 
     A `BagError` says in one line why the page cannot play it.
     """
-    found = find_runs([path])
-    if len(found) > 1:
-        raise BagError(f"{path}: holds {len(found)} flights; give one of them, such as {found[0]}")
-    bag = read_bag(found[0], [*SHOWN, *TRUTH, DIAGNOSTICS])
+    bag = read_bag(find_run(path), [*SHOWN, *TRUTH, DIAGNOSTICS])
     vehicles = [_vehicle_of(bag, prefix) for prefix in _prefixes_of(bag, namespace)]
     begin_ns = min(each.begin_ns for each in vehicles)
     return [_since(begin_ns, each) for each in vehicles]

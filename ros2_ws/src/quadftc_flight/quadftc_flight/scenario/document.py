@@ -169,7 +169,7 @@ def parse_document(text: str, source: str) -> Document:
     reader = _Reader(source)
     node = reader.compose(text)
     if node is None:
-        raise ScenarioError(f"{source}:1: empty; expected a scenario")
+        raise ScenarioError(f"{source}:1: empty; expected a mapping of keys")
     if node.id != "mapping":
         raise ScenarioError(f"{source}:{_line(node)}: expected a mapping of keys such as 'duration: 80 s'")
     document = Document(source, text, reader.value(node, ()), reader.origins)

@@ -52,7 +52,7 @@ def _find_file(name_or_path: str, folders: Sequence[Path], what: str, advice: st
     if path.suffix in (".yaml", ".yml") or path.name != name_or_path:
         if path.is_file():
             return path
-        raise ScenarioError(f"{path}: no such file")
+        raise ScenarioError(f"{path}: {'a directory; expected a file' if path.is_dir() else 'no such file'}")
     for file in (folder / f"{name_or_path}.yaml" for folder in folders):
         if file.is_file():  # the path as one would type it, if it is below the working directory
             full, here = file.resolve(), Path.cwd()
