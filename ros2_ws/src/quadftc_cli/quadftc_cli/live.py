@@ -20,7 +20,7 @@ PATIENCE = 5.0  # s; for nodes to be found, and for an answer
 OTHERS = 0.5  # s; for other vehicles to be found, after the first
 STEP = 0.05  # s; between two looks
 CONTROLLER, OBSERVER = (f"{node}/get_parameters" for node in ("controller", "fault_observer"))
-AUTOPILOTS = {f"{name.lower()}_backend/get_parameters": name for name in ("ArduPilot", "PX4", "Betaflight")}
+AUTOPILOTS = {f"{name.lower()}_backend/get_parameters": name for name in ("ArduPilot", "Betaflight")}
 
 
 class LiveGraph(NodeHost):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import yaml
 
@@ -17,9 +17,6 @@ from quadftc_flight.summary import Summary
 from quadftc_sitl.firmware import SitlError, die_with_parent, parameter_file
 from quadftc_sitl.plan import SitlPlan, plan_of_text
 from quadftc_sitl.sitl_flight import SUMMARY, fly_sitl
-
-if TYPE_CHECKING:
-    from quadftc_sitl.live import Live
 
 JOB = "job.yaml"  # what a folder was flown with
 
@@ -54,9 +51,8 @@ def fly_jobs(
     workers: int,
     resume: bool,
     follow: Callable[[int], object],
-    live: Live | None = None,
 ) -> list[Summary]:
-    """Fly jobs, so many side by side; return their summaries in order. Only one at a time can be ``live``.
+    """Fly jobs, so many side by side; return their summaries in order.
 
     With ``resume`` those that were flown are kept. A flight that could not be flown has a summary with
     ``error``, and none is kept of it. ``follow(done)`` is called after each.
@@ -66,7 +62,7 @@ def fly_jobs(
     left = [number for number in range(len(jobs)) if number not in found]
     if workers == 1:
         for number in left:
-            found[number] = fly_job(jobs[number], live)
+            found[number] = fly_job(jobs[number])
             follow(len(found))
         return [found[number] for number in range(len(jobs))]
     with ProcessPoolExecutor(workers, get_context("spawn"), initializer=die_with_parent) as pool:
@@ -81,11 +77,11 @@ def fly_jobs(
     return [found[number] for number in range(len(jobs))]
 
 
-def fly_job(job: Job, live: Live | None = None) -> Summary:
+def fly_job(job: Job) -> Summary:
     """Fly one job in this process; return its summary."""
     plan = plan_of_text(job.text, job.scheme, job.name, job.autopilot)
     try:
-        result = fly_sitl(plan, job.binary, job.out, job.parameters, engine=job.engine, live=live)
+        result = fly_sitl(plan, job.binary, job.out, job.parameters, engine=job.engine)
     except SitlError as error:
         return {"name": job.name, "error": str(error)}
     (job.out / JOB).write_text(job.inputs, encoding="utf-8")

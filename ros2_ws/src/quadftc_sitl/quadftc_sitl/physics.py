@@ -10,6 +10,7 @@ the same sample of its clock, however busy the machine is.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import select
 import socket
@@ -24,20 +25,19 @@ from quadftc_flight.scenario import node_parameters
 from quadftc_model.arrays import Components
 from quadftc_model.samples import (
     DiagnosisReport,
-    FaultEstimate,
     PositionReference,
     RotorReading,
     level_sample,
 )
 from quadftc_sim.assembly import EPOCH_NS, simulator_from
 from quadftc_sim.autopilot import Shown
+from quadftc_sim.injector import FaultInjector
 from quadftc_sim.simulator import Simulator
 from quadftc_sim.vehicle_simulation import FreeMotion
 from quadftc_sitl.autopilot import Server
 from quadftc_sitl.firmware import Firmware, SitlError
 from quadftc_sitl.plan import SitlPlan
 from quadftc_sitl.recording import Recorder
-from quadftc_sitl.truth import NotedInjector, shifted
 
 PATIENCE = 20.0  # s of the wall clock; without a packet the firmware hangs
 LOOK = 0.5  # s; how often it is looked whether the firmware lives
@@ -59,15 +59,13 @@ class Physics:
         self.stand = -float(plant.feet[0, 2])  # m; its height on the ground
         values |= {**plan.autopilot.sensors, "start": [*start, self.stand]}
         self._values: dict[str, object] = {**values}
-        self.injector = NotedInjector(scenario.seed, (), plant.command_size, self._engine)
+        self.injector = FaultInjector(scenario.seed, (), plant.command_size, self._engine)
         self._physics = plan.autopilot.physics(self._simulator, lambda: self.injector, plan.rate)
         self._diagnosis = Diagnosis(plan.scheme.observer.law, self._engine, flies=True)
         self._vehicle = plant.vehicle
         self.law = self._simulator(plan.rate).law  # of its motion
         self._speeds: deque[Components] = deque(maxlen=scenario.sensor.delay + 1)
         self.reports: list[DiagnosisReport] = []
-        self.estimate: FaultEstimate | None = None  # of the last sample, and what is reported of it
-        self.report: DiagnosisReport | None = None
         self.begin_ns: int | None = None  # stamp of scenario time 0
         self.last: Shown | None = None
         self._warm_up()
@@ -82,7 +80,9 @@ class Physics:
         assert self.last is not None
         self.begin_ns = self.last.emission.stamp_ns
         for fault in self.plan.scenario.faults:
-            self.injector.add(shifted(fault.injection, self.now), fault.given)
+            injection = fault.injection
+            start, stop = injection.start + self.now, injection.stop + self.now
+            self.injector.add(dataclasses.replace(injection, start=start, stop=stop))
 
     def answer(self, data: bytes, recorder: Recorder) -> tuple[bytes | None, Shown | None]:
         """Answer a packet; return the line, and what it shows, None for a repeated or wrong packet."""
@@ -96,10 +96,9 @@ class Physics:
         if before is not None and before.injected is not None and before.injected.present:
             commanded_ns = before.emission.sample_stamp_ns
         recorder.note(shown, commanded_ns)
-        self.estimate, self.report = self._observe(shown) or (None, None)
-        if self.report is not None:
-            self.reports.append(self.report)
-            recorder.report(self.report)
+        if (report := self._observe(shown)) is not None:
+            self.reports.append(report)
+            recorder.report(report)
         return line, shown
 
     def sent(self) -> None:
@@ -110,8 +109,8 @@ class Physics:
         """Return how many packets were wrong, by what was wrong."""
         return dict(self._physics.counts)
 
-    def _observe(self, shown: Shown) -> tuple[FaultEstimate, DiagnosisReport | None] | None:
-        """Run the fault observer over a sample that has come; None if it has nothing to say."""
+    def _observe(self, shown: Shown) -> DiagnosisReport | None:
+        """Run the fault observer over a sample that has come; return what it reports, if that is due."""
         assert shown.emission.flight is not None
         self._speeds.append(shown.emission.flight.speeds)
         if shown.injected is None or not shown.injected.present or shown.command is None:
@@ -120,7 +119,7 @@ class Physics:
         stamp_ns = shown.emission.sample_stamp_ns
         place = None if self.plan.scenario.position_sensor is None else shown.emission.place
         estimate = self._diagnosis.diagnose(stamp_ns, shown.injected.sample, rotors=rotors, place=place)
-        return None if estimate is None else (estimate, self._diagnosis.report(stamp_ns, estimate))
+        return None if estimate is None else self._diagnosis.report(stamp_ns, estimate)
 
     def _simulator(self, rate: float) -> Simulator:
         return simulator_from({**self._values, "rate": rate}, EPOCH_NS, self._engine)

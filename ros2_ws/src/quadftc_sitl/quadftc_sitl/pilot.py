@@ -57,7 +57,7 @@ class Pilot(Commander):
         self.done, self.landed = False, False
         self.began: float | None = None  # time at scenario time 0 [s]
         self.lost: float | None = None  # since when the vehicle is lost [s]; set from outside
-        self.end = math.inf  # of the mission [s]; may be set to an earlier time
+        self.end = math.inf  # of the mission [s]
         self._plan, self._begin = plan, begin
         self._trajectories = tuple(part.law for part in plan.scenario.trajectories)
         self._first = combined(self._trajectories, 0.0)
@@ -106,7 +106,7 @@ class Pilot(Commander):
             yield from self._upload_mission()
             yield from self._set_mode(self.MISSION)
         self.began = self.journal.now
-        self.end = min(self.end, self.began + self._plan.scenario.duration)
+        self.end = self.began + self._plan.scenario.duration
         self._begin()
         yield from self._follow()
         yield from self._come_down()

@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 import yaml
@@ -26,7 +26,6 @@ from quadftc_flight.summary import Summary
 from quadftc_model.samples import DiagnosisReport
 from quadftc_model.versions import software_version
 from quadftc_sim.autopilot import Shown
-from quadftc_sim.injection import CHANNEL_UNITS
 from quadftc_sitl.autopilot import Server
 from quadftc_sitl.firmware import (
     PARAMETERS,
@@ -42,9 +41,6 @@ from quadftc_sitl.recording import Recorder
 from quadftc_sitl.scoring import Told, describe_faults, metrics_of, noticed, observed
 from quadftc_sitl.verdicts import diagnose_log_of
 
-if TYPE_CHECKING:
-    from quadftc_sitl.live import Live, LiveFlight
-
 SUMMARY, BAG, SCENARIO = "sitl.json", "bag", "scenario.yaml"
 LOOK = 2.0  # s of the wall clock; how often the sockets of the firmware are read
 
@@ -55,12 +51,11 @@ def fly_sitl(
     out: Path,
     parameters: Mapping[str, float] | None = None,
     engine: str = "c",
-    live: Live | None = None,
 ) -> Summary:
     """Fly a plan with a firmware in a new folder; return the summary that is written there.
 
-    ``parameters`` come on top of those of the plan. With ``live`` others may watch, and inject faults. A
-    `SitlError` says why nothing was flown; OSError, why nothing could be written.
+    ``parameters`` come on top of those of the plan. A `SitlError` says why nothing was flown; OSError, why
+    nothing could be written.
     """
     begin = time.perf_counter()
     out.mkdir(parents=True)
@@ -72,8 +67,7 @@ def fly_sitl(
     place = combined(tuple(part.law for part in plan.scenario.trajectories), 0.0).position
     start = float(place[0]), float(place[1])
     physics = Physics(plan, start, engine)
-    scheduled = {fault.injection.channel for fault in plan.scenario.faults}
-    channels = scheduled if live is None else CHANNEL_UNITS
+    channels = {fault.injection.channel for fault in plan.scenario.faults}
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(MavlinkLink()))
         server = stack.enter_context(contextlib.closing(autopilot.server()))
@@ -82,10 +76,6 @@ def fly_sitl(
         attachments = {SCENARIO: text.encode()}
         recorder = stack.enter_context(contextlib.closing(Recorder(out / BAG, attachments, channels)))
         flight = Flight(plan, physics, server, link, recorder)
-        if live is not None:
-            from quadftc_sitl.live import LiveFlight  # starts ROS
-
-            flight.live = stack.enter_context(LiveFlight(live, plan, physics, flight.pilot))
         firmware = stack.enter_context(Firmware(beginning.arguments, out, beginning.environment))
         flight.fly(firmware)
         firmware.end(flight.serve)
@@ -107,7 +97,6 @@ class Flight:
         self._plan, self._physics, self._server = plan, physics, server
         self._recorder, self._link = recorder, link
         self.pilot = plan.autopilot.pilot(plan, link, physics.begin)
-        self.live: LiveFlight | None = None
         self._fate = Fate(physics.stand)
         self._guardian = Guardian(plan.section.guard)
         self._heard = 0  # reports of the observer
@@ -124,8 +113,6 @@ class Flight:
         look = time.monotonic()
         while not self.pilot.done:
             self._answer(self._server.wait(firmware, self._link.spoke))
-            if self.live is not None:
-                self.live.pace()
             if time.monotonic() > look:
                 look = time.monotonic() + LOOK
                 self._sockets = sorted({*self._sockets, *open_sockets(firmware.pid)})
@@ -152,8 +139,6 @@ class Flight:
         pilot, now, motion = self.pilot, self._physics.now, shown.emission.flight
         assert motion is not None  # it flies
         pilot.step(now)
-        if self.live is not None:
-            self.live.show(shown)
         if pilot.began is None or pilot.done or pilot.landed:
             return
         self._guard()
@@ -162,8 +147,6 @@ class Flight:
             self.errors.append(math.dist(motion.position, wanted.position))
         if self._fate.step(motion, wanted) and pilot.lost is None:
             pilot.lost = now
-            if self.live is not None:
-                self.live.tell(f"the vehicle is lost: {self._fate.words}")
 
     def _guard(self) -> None:
         """Let the guardian hear what the observer has said of a vehicle that flies."""
@@ -173,8 +156,6 @@ class Flight:
             decision = self._guardian.step(report, pilot.journal.mode_name)
             for each in self._guardian.decisions[before:]:
                 self._recorder.tell(report.stamp_ns, "guardian", each.words)
-                if self.live is not None:
-                    self.live.tell(f"guardian: {each.words}")
             if decision is not None:
                 pilot.obey(decision)
         self._heard = len(reports)
@@ -184,7 +165,8 @@ class Flight:
         plan, pilot, physics = self._plan, self.pilot, self._physics
         zero, journal = pilot.began or 0.0, pilot.journal
         scenario = plan.scenario
-        faults = describe_faults(plan, physics.injector.begun_since(zero))
+        flown = -math.inf if pilot.began is None else physics.now - zero  # s of the scenario
+        faults = describe_faults(plan, [each for each in scenario.faults if each.injection.start <= flown])
         events = [event._replace(time=round(event.time - zero, 3)) for event in journal.events]
         survived = pilot.lost is None and (pilot.landed or self._fate.stands)
         stands = "stands with its motors running" if self._fate.stands else "still flying when time was up"

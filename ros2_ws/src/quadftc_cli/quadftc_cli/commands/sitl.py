@@ -17,8 +17,6 @@ from quadftc_cli.screen import Bars, console, plain_table, say
 
 if TYPE_CHECKING:
     from quadftc_flight.summary import Summary
-    from quadftc_sitl.catalogue import Job
-    from quadftc_sitl.plan import SitlPlan
     from quadftc_sitl.scoring import Told
     from quadftc_sitl.sitl_report import Drawn
 
@@ -60,12 +58,6 @@ Seeds = Annotated[
 Jobs = Annotated[int, Option(min=1, help="Flights side by side.")]
 Resume = Annotated[bool, Option("--resume", help="Keep the flights that were flown before.")]
 Force = Annotated[bool, Option("--force", help="Replace flights that were flown before.")]
-IsLive = Annotated[
-    bool,
-    Option("--live", help="Fly in real time, with the page of 'quadftc live': inject faults by hand."),
-]
-Port = Annotated[int, Option(min=0, max=65535, help="Of the page, on 127.0.0.1; 0: any.")]
-Browser = Annotated[bool, Option(help="Open the page in the browser.")]
 Out = Annotated[Path, Option(help="Directory of the flights, each in its own.")]
 
 
@@ -84,9 +76,6 @@ def sitl(
     jobs: Jobs = 1,
     resume: Resume = False,
     force: Force = False,
-    live: IsLive = False,
-    port: Port = 8348,
-    browser: Browser = True,
     engine: options.EngineOption = "c",
     out: Out = Path("results"),
     junit: options.JunitOption = None,
@@ -103,8 +92,6 @@ def sitl(
     changes = [*set_, *(f"autopilot.guard.actions.{each}" for each in guard)]
     given = {name: value for file in parameters for name, value in read_parameters(file).items()}
     plans, drawn = flights_of_file(path, autopilot, scheme, catalogue, seeds, seed, changes)
-    if live and drawn is not None:
-        raise ValueError("--live: shows one flight; a campaign or --catalogue does not go with it")
     if drawn is not None:
         plans = [plan for plan in plans if fnmatch.fnmatch(plan.name.rpartition("-")[0], only)]
     if not plans:
@@ -113,27 +100,13 @@ def sitl(
     if force and not resume:
         for job in todo:
             flights.clear(job.out)
-    screen, show = console(), (plans[0], port, browser) if live else None
-    found = _fly(todo, jobs, resume, screen, show)
+    screen = console()
+    with Bars(screen) as bars:
+        update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
+        found = flights.fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
     if drawn is not None and (lost := flights.write_lost(todo, found, out)):
         say(f"lost, one scenario each: {lost[0].parent}")
     raise typer.Exit(_show(found, out, screen, junit, drawn))
-
-
-def _fly(
-    todo: Sequence[Job], jobs: int, resume: bool, screen: Console, shown: tuple[SitlPlan, int, bool] | None
-) -> list[Summary]:
-    """Fly; with plan, port and whether a browser opens, the only flight in real time on the live page."""
-    from quadftc_sitl.catalogue import fly_jobs
-
-    if shown is not None:
-        from quadftc_cli.live_page.sitl import showing  # starts ROS
-
-        with showing(*shown) as live:
-            return fly_jobs(todo, 1, resume, lambda _done: None, live)
-    with Bars(screen) as bars:
-        update = bars.add(f"{len(todo)} flights" if len(todo) > 1 else todo[0].name)
-        return fly_jobs(todo, jobs, resume, lambda done: update(done / len(todo)))
 
 
 def _show(

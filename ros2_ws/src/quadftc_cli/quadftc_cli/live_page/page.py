@@ -30,8 +30,8 @@ FRAME_PERIOD = 1.0 / 30.0  # s
 TEXT_PERIOD = 0.2  # s; between two looks at states and numbers
 SLOW = 0.95  # of real time; a flight below it says so
 STYLE = Path(__file__).with_name("page.css")
-AUTOPILOT = "_backend", "autopilot"  # end of the node's name, and part of /diagnostics
-RATES = (("controller", "timing"), ("fault_observer", "timing"), AUTOPILOT)  # that may report a rate
+BACKEND = "_backend"  # end of the name of the node behind an autopilot's simulation
+RATES = ("controller", "fault_observer")  # nodes that may report a rate
 SENSOR_FAULTS = (  # label, axis that the charts show then, fault
     ("roll reads +8°", 0, "bias axis=roll value=8deg"),
     ("pitch wanders ±5°", 1, "sine axis=pitch amplitude=5deg frequency=0.5Hz"),
@@ -299,16 +299,15 @@ class _Page:
         said: dict[str, list[str]] = {}  # by words, who says so
         for _, name, words in picture.warnings():
             if "fault" not in name:
-                said.setdefault(words, []).append(name.partition(":")[0].removesuffix(AUTOPILOT[0]))
+                said.setdefault(words, []).append(name.partition(":")[0].removesuffix(BACKEND))
         self._set("warnings", "\n".join(f"{', '.join(names)}: {words}" for words, names in said.items()))
-        mode = picture.value(*AUTOPILOT, "mode")
         silent = "control/status" in picture.silent  # an autopilot flew, whose mode was not recorded
-        self._set("mode", f"autopilot: {mode}" if mode else "" if silent else f"controller: {picture.mode()}")
+        self._set("mode", "" if silent else f"controller: {picture.mode()}")
         if self._player is not None:
             self._tell_moment(self._player)
         else:
             self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
-            rates = (picture.value(node, part, "rate_hz") for node, part in RATES)
+            rates = (picture.value(node, "timing", "rate_hz") for node in RATES)
             self._set("rate", f"{next(filter(None, rates), '-')} Hz")
         self._show_angles()
         if self._flown.simulated:
