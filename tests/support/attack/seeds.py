@@ -65,7 +65,6 @@ vary:
   plant.inertia_factor: {normal: [1.0, 0.01], size: 3}
   faults.0.axes: {choice: [roll, pitch]}
 precision: float64
-report: {map: [faults.0.value, rate], metric: fault.estimate_rmse_deg}
 tune:
   gains: [controller.k_c1, controller.phi, disturbance_observer.bandwidth]
   cost: {tracking_rmse_deg: 1, torque_total_variation: 0.1}

@@ -23,7 +23,6 @@ vary:
   faults.*.start: {uniform: [10 s, 20 s]}            # of each fault
   rate: {grid: [125 Hz, 250 Hz]}
 precision: float32                 # of JAX; C and NumPy compute in double
-report: {map: [faults.0.value, rate], metric: fault.estimate_rmse_deg}
 checks:                            # bounds on what comes out, see quadftc_campaign.campaign_checks
   - {metric: tracking_rmse_deg.q95, below: 0.1}                      # of each variant, on every axis
   - {metric: faults.all.missed_share, below: 0.01, variants: [supervised]}
@@ -83,7 +82,7 @@ COSTS = (*ROOTS, VARIATION)  # metrics that tuning can lower
 ALL = "all"
 OTHERS = "others"
 SITL = "sitl"
-NOT_IN_SITL = ("observers", "parameters", "controllers", "precision", "report", "checks", "tune")
+NOT_IN_SITL = ("observers", "parameters", "controllers", "precision", "checks", "tune")
 
 
 class _Keys(BaseModel):
@@ -121,13 +120,6 @@ def _kind_alone(raw: object) -> object:
     return {"kind": raw} if isinstance(raw, str) else raw
 
 
-class ReportKeys(_Keys):
-    """What the report shows besides what it always shows."""
-
-    map: list[str] = Field(default=[], max_length=2)
-    metric: str = "fault.estimate_rmse_deg"
-
-
 class TuneKeys(_Keys):
     """What ``quadftc tune`` does with the campaign."""
 
@@ -156,7 +148,6 @@ class CampaignKeys(_Keys):
     controllers: list[str] = []
     vary: dict[VaryingPath, Drawn] = {}
     precision: Literal["float64", "float32"] = "float64"
-    report: ReportKeys = ReportKeys()
     checks: list[CampaignCheck] = []
     tune: TuneKeys | None = None
 
@@ -229,12 +220,6 @@ def load_campaign(
     campaign = Campaign.model_construct(None, **given, document=document, base=base, recordings=bags)
     if campaign.cells > MAX_CELLS:
         problems.append(Problem(("vary",), f"{campaign.cells} combinations of grids: at most {MAX_CELLS}"))
-    there = ", ".join(campaign.vary) or "nothing varies"
-    problems += (
-        Problem(("report", "map", index), f"'{key}' does not vary; there are: {there}")
-        for index, key in enumerate(campaign.report.map)
-        if key not in campaign.vary
-    )
     problems += wrong_checks(campaign.checks, [variant.name for variant in campaign.variants])
     if problems:
         raise document.error(problems)
@@ -266,7 +251,7 @@ def _find_bags(
 
 
 def _model_at(path: Keys) -> type[BaseModel]:
-    models = {"checks": CampaignCheck, "report": ReportKeys, "tune": TuneKeys, "source": SourceKeys}
+    models = {"checks": CampaignCheck, "tune": TuneKeys, "source": SourceKeys}
     return models.get(str(path[0]) if path else "", CampaignKeys)
 
 

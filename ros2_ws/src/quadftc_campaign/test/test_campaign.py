@@ -156,7 +156,6 @@ def test_a_distribution_that_is_none_is_refused(raw, message):
             r"uniform: low 5, high 1: an empty range",
         ),
         (("rate: {grid", "seed: {grid"), "'seed' cannot vary"),
-        (("vary:", "report: {map: [duration]}\nvary:"), r"report.map\[0\]: 'duration' does not vary"),
         (
             ("set: [duration=0.4 s]", "set: [plant.kind=free_flight]\nsource: {kind: motion}"),
             "source.kind: motion: expected 'loop', as a free flight",

@@ -28,12 +28,12 @@ SHARES = {"range": [-0.02, 1.03], "tickformat": ".0%"}  # axis
 
 
 class Picture(NamedTuple):
-    """A figure on the page; ``plots``: title to data, layout and config; none: the caption says why."""
+    """A figure on the page."""
 
     key: str
     title: str
     caption: str
-    plots: dict[str, Look]
+    spec: Look  # data, layout and config
 
 
 def log_ticks(low: float, high: float) -> Look:
@@ -114,7 +114,7 @@ def _distribution(
             **line_look(side.role, side.rank),
         )
     caption, key = f"Share of the {thing}s whose {value} is at most so much. {note}", f"ecdf-{key}"
-    yield Picture(key, f"{value[0].upper()}{value[1:]}", caption, {"": spec_of(drawing, key)})
+    yield Picture(key, f"{value[0].upper()}{value[1:]}", caption, spec_of(drawing, key))
 
 
 def variant_figure(entries: int, titles: tuple[str, str]) -> go.Figure:

@@ -16,7 +16,6 @@ import polars as pl
 from quadftc_campaign.distributions import Distribution, unit_of
 from quadftc_model.samples import AXES
 from quadftc_report.campaign_curves import distributions
-from quadftc_report.campaign_map import draw_maps
 from quadftc_report.campaign_results import Floats, Results, Side, known, numbers
 from quadftc_report.confusion import confusion_tables
 from quadftc_report.page import render_template
@@ -59,8 +58,6 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
     that fly a flight again.
     """
     campaign, sides = results.campaign, results.sides
-    kinds = {"Distributions": distributions, "Map": draw_maps}
-    pictures = {title: list(draw(results)) for title, draw in kinds.items()}
     worst = (
         ("Largest tracking errors", ("worst axis", "tracking RMSE [deg]"), map(_worst_flights, sides)),
         ("Worst fault estimates", ("fault", "RMSE of the estimate [deg]"), map(_worst_faults, sides)),
@@ -91,7 +88,7 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
             (side.name, side.summary.get("confusion_s", {}), side.summary.get("rotor_confusion_s", {}))
             for side in sides
         ),
-        pictures={title: figures for title, figures in pictures.items() if figures},
+        figures=list(distributions(results)),
         worst=[each for each in shown if any(each[2].values())],
         drawn_heads=[_drawn_head(path, drawn, results.frame) for path, drawn in campaign.vary.items()],
         drawn_text=_drawn_text,

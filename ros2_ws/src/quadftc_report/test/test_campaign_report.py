@@ -12,8 +12,6 @@ from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_model.samples import AXES
 from quadftc_report.campaign_curves import POINTS, ecdf
-from quadftc_report.campaign_map import FEWEST, bin_axis, maps_of
-from quadftc_report.campaign_results import results_of
 from quadftc_report.report import ReportError, write_campaign_report
 
 SCENARIO = """
@@ -131,32 +129,6 @@ def test_distribution_of_many_values_keeps_few_points_and_both_ends():
     np.testing.assert_allclose(found.shares, found.values / 100_000, atol=1e-12)
 
 
-def test_map_over_two_lists_against_hand_computed_medians(load):
-    vary = f"vary: {{{VALUE}: {{choice: [1 deg, 2 deg]}}, {RATE}: {{grid: [100 Hz, 50 Hz]}}}}"
-    campaign = load(vary, flights=20)
-    rows = []
-    for flight in range(19):  # so that one cell has too few
-        drawn = {VALUE: 1.0 + flight % 2, RATE: 100.0 if flight < 10 else 50.0}
-        rows.append(row(flight, "watched", "sliding_mode", **drawn, **fault(estimate_rmse_deg=float(flight))))
-    frame = table_of(rows)
-    maps = maps_of(results_of(campaign, frame, summary_of(campaign, frame)))
-    assert (maps.x.title, maps.x.names) == (VALUE, ("1 deg", "2 deg"))
-    assert (maps.y.title, maps.y.names) == (RATE, ("50 Hz", "100 Hz"))
-    np.testing.assert_array_equal(maps.medians["watched"], [[14.0, np.nan], [4.0, 5.0]])
-    assert maps.flights["watched"].tolist() == [[5, 4], [5, 5]]
-    assert FEWEST == 5
-    assert maps.span == (4.0, 14.0)
-
-
-def test_range_is_divided_into_parts_with_as_many_flights(load):
-    campaign = load(VARY)
-    frame = pl.DataFrame({VALUE: [1.0, 1.1, 1.2, 1.3, 2.0, 3.0, 4.0, 5.0, None]})
-    axis = bin_axis(frame, VALUE, campaign.vary[VALUE], 4)
-    assert np.bincount(axis.bins[:-1]).tolist() == [2, 2, 2, 2]
-    assert axis.bins[-1] == -1
-    assert (axis.names[0], axis.names[-1]) == ("1 to 1.18", "3.25 to 5")
-
-
 def test_an_axis_that_is_declared_before_the_onset_has_not_found_the_fault(load, tmp_path):
     early = [fault(already_declared=True, detection_delay_s=None)] * 2 + [fault()] * 4
     rows = [row(flight, "watched", "sliding_mode", **each) for flight, each in enumerate(early)]
@@ -170,7 +142,7 @@ def test_page_tells_every_variant_and_how_to_fly_the_worst_again(load, tmp_path)
     assert "a median RMSE of 2 deg, 95 % 2 deg; has no fault observer." in page.text
     names = {trace["name"] for trace in page.specs["spec-ecdf-tracking"]["data"]}
     assert names == {"watched", "plain"}
-    assert {"spec-ecdf-estimate", "spec-ecdf-delay", "spec-map-0", "spec-map-1"} <= set(page.specs)
+    assert {"spec-ecdf-estimate", "spec-ecdf-delay"} <= set(page.specs)
     again = f"scripts/quadftc campaign 'my camp.yaml' --out {tmp_path} --flight 23 --variant watched"
     assert again in page.commands
     assert "24 flights of each variant" in page.text
@@ -199,7 +171,6 @@ def test_page_of_one_flight_with_a_fault_that_nothing_is_known_of(load, tmp_path
     rows = [row(0, "watched", "sliding_mode", **unknown, **{VALUE: 2.0, RATE: 100.0})]
     _, page = written(load(VARY, flights=1), rows, tmp_path)
     assert set(page.specs) == {"spec-ecdf-tracking"}
-    assert "No map" in page.text
 
 
 def test_flights_that_did_not_stay_finite_are_told_first(load, tmp_path):
