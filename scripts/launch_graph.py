@@ -10,8 +10,8 @@ Without a scenario it flies level with the recommended observer and follows live
 With --onboard, plant and fault injector stay out: a vehicle that exists publishes imu/data and reads
 torque/command.
 
-It waits until all nodes are connected, passes SIGINT and SIGTERM on, ends only what it started, and returns
-the worst exit code of the nodes: 0 when all ended well, 2 for wrong input, 3 when the graph failed, 130 when
+It waits until all nodes are connected, passes SIGINT and SIGTERM on, and ends only what it started. It
+returns the worst exit code of the nodes: 0 all ended well, 2 wrong input, 3 the graph failed. 130 says that
 it was interrupted before it started anything, or twice.
 """
 

@@ -83,8 +83,8 @@ def step_costs(engine: str, batches: int, only: Sequence[str] = ()) -> Iterator[
     """Measure laws, those named in ``only`` or all; one result for each.
 
     ``best_us``, ``median_us``: of batches of steps that are called from Python, inputs and outputs included.
-    In C there are ``loop_us``, the best of a loop of C with inputs and outputs in arrays, ``statements`` of
-    the step, ``trace_s`` and ``compile_s`` to make it, and its ``bytes``.
+    C has more: ``loop_us`` is the best of a loop in C with inputs and outputs in arrays. ``statements`` and
+    ``bytes`` say how large the step is, ``trace_s`` and ``compile_s`` how long it takes to make.
     """
     chosen = [case for case in cases() if not only or case.law in only]
     loops = {case: _loop_of(case.place, case.changes) for case in chosen}

@@ -1,9 +1,9 @@
 # pyright: basic
 """``scripts/soak PART``: each part injects one kind of fault into the software, many times.
 
-A part is a module whose ``soak`` yields trials: dataclasses of texts, which say what was tried, of numbers
-that are better when small, and of `wrong`, empty where all held. Exit codes as of ``quadftc``: 1 if something
-did not hold.
+A part is a module whose ``soak`` yields trials. They are dataclasses of texts, which say what was tried, and
+of numbers that are better when small. Their `wrong` is empty where all held. Exit codes as of ``quadftc``: 1
+if something did not hold.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 With ``plant_kind:=free_flight params_file:=.../free_flight.yaml`` the vehicle flies through space.
 
-Without a simulator (``simulate:=false``) the plant and the fault injector stay out, and a vehicle or another
-simulator publishes ``imu/data`` and reads ``torque/command``: ``imu:=/mavros/imu/data`` names another topic.
+With ``simulate:=false`` plant and fault injector stay out. A vehicle or another simulator publishes
+``imu/data`` and reads ``torque/command``; ``imu:=/mavros/imu/data`` names another topic.
 """
 
 from __future__ import annotations

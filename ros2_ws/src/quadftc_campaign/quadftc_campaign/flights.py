@@ -24,8 +24,8 @@ SEED = "seed"
 def drawn(campaign: Campaign, number: int) -> dict[str, Value]:
     """Draw the values of flight ``number`` (from 0), by path, and its seed.
 
-    A value depends on the campaign's seed, the flight's number and the path of the value alone, so that
-    neither another value nor more flights change it.
+    A value depends on the campaign's seed, the flight's number and the path of the value alone. Neither
+    another value nor more flights change it.
     """
     found: dict[str, Value] = {}
     cell = number % campaign.cells

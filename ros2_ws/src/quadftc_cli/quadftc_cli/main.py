@@ -1,8 +1,8 @@
 # pyright: basic
 """The ``quadftc`` command.
 
-Exit codes: 0 good, 1 a check of a scenario or a condition of the theory failed, 2 bad input, 3 graph,
-recording or software failed, 130 interrupted.
+Exit codes: 0 good; 1 a check of a scenario or a condition of the theory failed; 2 bad input; 3 graph,
+recording or software failed; 130 interrupted.
 """
 
 from __future__ import annotations

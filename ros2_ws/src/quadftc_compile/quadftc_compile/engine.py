@@ -1,7 +1,7 @@
 """What runs the laws of a vehicle: C that is generated from them, or NumPy, the reference.
 
-A law that is not compiled yet is compiled at its first use, in a process of its own, so that this one does
-not load JAX. A law that cannot be compiled flies in NumPy, and a line says why, once.
+A law is compiled at its first use, in a process of its own, so that this one does not load JAX. A law that
+cannot be compiled flies in NumPy, and a line says why, once.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 # pyright: basic
 """A traced function as a graph of operations on arrays.
 
-JAX traces a function to a jaxpr. Here the functions that it calls are put in their places, equal operations
-are done once, those whose results nobody reads are left out, and what follows from constants is computed.
+JAX traces a function to a jaxpr. Here the functions that it calls are put in their places. Equal operations
+are done once, operations whose results nobody reads are left out, and constants are folded.
 
-Nothing is simplified that would change a number: ``0 * x`` stays, as x may be NaN, and so does ``x + 0``, as
+Nothing is simplified that would change a number. ``0 * x`` stays, as x may be NaN, and so does ``x + 0``, as
 x may be -0. ``1 * x``, ``x / 1`` and ``x - 0`` are x for every x.
 """
 

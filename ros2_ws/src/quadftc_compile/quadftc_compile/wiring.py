@@ -1,9 +1,9 @@
 # pyright: basic
 """Several compiled laws flown together for a stretch of samples, in C.
 
-A `quadftc_model.composition.Composition` is run once with tokens for its values. What it does with them,
-calls of laws and moves of values, becomes a list of instructions, which a small function in C repeats sample
-by sample. So nothing is compiled but the laws, which nodes and closed loop share.
+A `quadftc_model.composition.Composition` is run once with tokens for its values. Its calls of
+laws and moves of values become a list of instructions. A small function in C repeats them sample by sample.
+So nothing is compiled but the laws, which nodes and closed loop share.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Free flight commands the speed of each rotor: its thrust is k speed², its react
 the effectiveness E (4, n) of the rotor thrusts F, (thrust, torque) = E F. The pseudo-inverse of E gives the F
 of least squares; for four rotors it is the only one.
 
-Where that F leaves the range of a rotor, roll and pitch come before thrust, and thrust before yaw: a
+Where that F leaves the range of a rotor, roll and pitch come before thrust, and thrust before yaw. A
 multirotor that keeps its tilt can still be flown. Source: Faessler, Falanga and Scaramuzza (2017), Thrust
 mixing, saturation, and body-rate control for accurate aggressive quadrotor flight, IEEE RA-L 2(2). Each stage
 is a linear programme so small that it has a closed form:

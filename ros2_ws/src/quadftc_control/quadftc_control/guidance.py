@@ -1,7 +1,7 @@
 """Guidance: from scenario time, or a live setpoint, to what the attitude control is commanded.
 
 On the test stand references say the attitude. In free flight trajectories, or a live setpoint made smooth,
-say where the vehicle shall be, and the outer loop says attitude and thrust for it. A reference or trajectory
+say where the vehicle shall be. The outer loop says attitude and thrust for it. A reference or trajectory
 that cannot be used, such as one with absurd accelerations, is replaced by the last one that could.
 """
 

@@ -2,9 +2,9 @@
 
 When an observer falls silent, the controller publishes for one that is started in its place:
 
-* ``fault/kept``: the last fault/status. While the controller knows by how much imu/data is off without it,
-  that fault replaces the old one 20 times a second, because a fault may change;
-* ``gyro/kept``: minus the last gyro/bias [rad/s]; from an observer that does not tell it, what imu/corrected
+* ``fault/kept``: the last fault/status. While the controller knows how wrong imu/data is, it replaces the
+  fault 20 times a second, because faults change;
+* ``gyro/kept``: minus the last gyro/bias [rad/s]. Of an observer that does not tell it: what imu/corrected
   last added to the body rate of imu/data;
 * ``disturbance/kept``: the last disturbance/estimate.
 
@@ -89,8 +89,8 @@ class LastWords:
     def recall(self, now_ns: int) -> tuple[object, int, Vector] | None:
         """Return the last status (message), its stamp [ns] and the correction of the gyro [rad/s] (3,).
 
-        None if nothing helps at a sample of imu/data [stamp in ns]: nothing was heard, the observer was
-        starting, or imu/data was missing for so long that all laws restart.
+        None if nothing helps at a sample of imu/data [stamp in ns]. Then nothing was heard, the observer was
+        starting, or imu/data was missing so long that all laws restart.
         """
         if self.status is None or self.corrected is None or self.starting:
             return None

@@ -6,8 +6,9 @@ angles have rates and accelerations that fit them, and turn no faster than the r
 
 What the trajectory asks for is known ahead. It is asked for earlier, by its jerk and yaw rate, by what lags:
 the filter (2 / bandwidth), and for the thrust the rotors. The attitude control follows the filter, which
-tells it rates and accelerations. The drag at the trajectory's speed is made up for, too (Faessler, Franchi
-and Scaramuzza (2018), Differential flatness of quadrotor dynamics subject to rotor drag, IEEE RA-L 3(2)).
+tells it rates and accelerations. The drag at the trajectory's speed is made up for, too. Source: Faessler,
+Franchi and Scaramuzza (2018), Differential flatness of quadrotor dynamics subject to rotor drag, IEEE RA-L
+3(2).
 
 A vehicle that spins, as it has lost a rotor, turns roll and pitch of one direction of thrust with it. The
 filter would lag behind them; so it is left out, and the yaw of the command is the measured one.

@@ -1,7 +1,7 @@
 """Going over from one IMU to another without a jump: what the controller flies on is continuous.
 
-Another source is used from a sample on. There the attitude used so far, turned on by the body rate, differs
-from the new source by a rotation delta, and the body rates differ by omega_o. From then on
+Another source is used from a sample on. The body rate turns the attitude used so far on to it. There it
+differs from the new source by a rotation delta, and the body rates differ by omega_o. From then on
 
     q_used = q * exp(w delta / 2),   omega_used = omega + w_o omega_o
 

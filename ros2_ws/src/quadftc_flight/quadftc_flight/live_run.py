@@ -1,7 +1,7 @@
 """A flight that was recorded live, without a scenario: by a recorder, or by ``ros2 bag record``.
 
-What the bag tells stands for the scenario: its length, its rate, the faults on fault/injected and
-rotors/fault, whose kinds the fault injector says on /diagnostics. Parts and vehicle are those of
+The bag stands for the scenario: its length, its rate, the faults on fault/injected and rotors/fault. The
+fault injector says their kinds on /diagnostics. Parts and vehicle are those of
 ``parameters.yaml`` in or beside the bag, else the nodes' defaults. Times are those of the samples, which fall
 behind the clock of the machine when it is too slow.
 """

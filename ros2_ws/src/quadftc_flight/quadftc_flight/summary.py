@@ -64,8 +64,8 @@ def summary(
 def relate_to_undiagnosed(summaries: Sequence[Summary]) -> list[Summary]:
     """Relate the attitude errors of runs to those without a diagnosis; return the summaries that got more.
 
-    What is added is ``without_diagnosis``: the scheme of the same scenario with the observer ``none`` and the
-    same disturbance observer and controller, and the errors over those of it. Above 1 is worse than without.
+    It adds ``without_diagnosis``: a scheme of the same scenario, disturbance observer and controller with the
+    observer ``none``, and the errors over those of it. Above 1 is worse than without.
     """
     alike = ("name", "seed", "rate", "duration", "vehicle", "disturbance_observer", "controller")
     plain = {tuple(each[key] for key in alike): each for each in summaries if each["observer"] == NO_OBSERVER}

@@ -51,10 +51,10 @@ def tilt_disagreement(sample: ImuSample) -> Scalar:
 def px4_full_torque(vehicle: Vehicle) -> Vector:
     """Torque [N m] (3,) that PX4's allocation makes of a setpoint of 1 about each axis.
 
-    B has the torques and thrusts of the rotors at full command, M is its pseudo-inverse. PX4 divides the
-    columns of M for roll and pitch by the larger of sqrt(sum m² / (k / 2)), k elements m other than zero, and
-    that for yaw by its largest element. As B M = 1, the torque is one over that divisor. It holds where the
-    rotors follow their command linearly (THR_MDL_FAC) and CA_ROTOR* are those of the vehicle.
+    B has the torques and thrusts of the rotors at full command, M is its pseudo-inverse. PX4 divides its
+    columns for roll and pitch by the larger of sqrt(sum m² / (k / 2)), with k elements m other than zero. It
+    divides the column for yaw by its largest element. As B M = 1, the torque is one over that divisor. It
+    holds where the rotors follow their command linearly (THR_MDL_FAC) and CA_ROTOR* are those of the vehicle.
     """
     rotors = vehicle.rotors
     full = rotors.thrust_gain * (rotors.command_max - rotors.command_idle)  # N, of one rotor

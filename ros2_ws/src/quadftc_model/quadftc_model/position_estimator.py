@@ -1,12 +1,12 @@
 """Position and velocity from the accelerometer, corrected by a position sensor that is slower and late.
 
-A Kalman filter of p, v and the accelerometer's bias b (body axes), driven by the specific force f and the
-attitude R of the corrected IMU:
+A Kalman filter of p, v and the accelerometer's bias b (body axes). The specific force f and the attitude R of
+the corrected IMU drive it:
 
     p' = v ,  v' = R (f - b) - g e3 + noise ,  b' = noise
 
 What disturbs is taken to be alike in all directions. Then the covariance is a 3 x 3 matrix times the identity
-(or R, between b and the others), whatever the attitude: one small matrix serves for all three axes.
+(or R, between b and the others). One small matrix serves for all three axes, whatever the attitude.
 
 A sample is ``delay`` old. It is compared with the prediction for its own time, p - v delay + a delay²/2, and
 the gain knows how v and b enter there. The bias walks so fast that a step of the accelerometer, or of

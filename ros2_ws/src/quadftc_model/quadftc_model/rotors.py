@@ -1,7 +1,7 @@
 """Rotors: the mixer of (2), its inverse, and the torques that a set of rotors can give.
 
-Wang et al. (2021), equation (2), for any rotor layout: rotor i at (x, y) gives the thrust K_i (u_i - u_idle)
-and with it the body torque (y F, -x F, reaction torque).
+Equation (2) of Wang et al. (2021), for any rotor layout. Rotor i at (x, y) gives the thrust
+F = K_i (u_i - u_idle) and the body torque (y F, -x F, reaction torque).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Running a law on a stream of stamped samples: the first sample starts it, stamps give the time step.
 
-The ROS nodes and the closed loop without ROS run their laws through this one class, so both treat a repeated
-stamp, a stamp that goes back, and a gap alike.
+The ROS nodes and the closed loop without ROS run their laws through this one class. So both treat repeated
+stamps, stamps that go back, and gaps alike.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ class _ImpossibleError(Exception):
 def impossible(vehicle: Vehicle) -> list[Problem]:
     """Return what keeps a vehicle from being or flying; its numbers are known to have signs and shapes.
 
-    What follows from another problem is not told: without three torques there is no hover, and by a wrong
-    mass or place the moments are judged wrongly.
+    What follows from another problem is not told. Without three torques there is no hover, and a wrong mass
+    or place makes the moments look wrong.
     """
     layout = _first_problem((_check_signs, _check_independence), vehicle)
     body = _first_problem((_check_reach, _check_thrust, _check_inertia), vehicle)

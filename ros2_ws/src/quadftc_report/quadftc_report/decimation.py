@@ -1,10 +1,9 @@
 """Which samples of a series to draw: few enough for a browser, and every visible feature stays.
 
-1. The ends, both edges of every gap (NaN), and the smallest and the largest sample of each of a few hundred
-   stretches of time (MinMax, by tsdownsample).
+1. The ends, and both edges of every gap (NaN). Of a few hundred stretches of time each, the smallest and the
+   largest sample (MinMax, by tsdownsample).
 2. Then, repeatedly, the sample farthest from the line drawn so far, between any two neighbours. This ends
-when
-   the line is nowhere off by more than ``TOLERANCE`` of the range, or ``LIMIT`` samples are drawn.
+   when the line is nowhere off by more than ``TOLERANCE`` of the range, or ``LIMIT`` samples are drawn.
 
 Metrics are never computed from decimated samples.
 """

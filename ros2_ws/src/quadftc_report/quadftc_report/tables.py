@@ -47,8 +47,7 @@ class Table(NamedTuple):
 def metric_tables(comparison: Comparison[Recorded], what: str) -> list[Table]:
     """Return every metric of every run: a table of the whole, and one of each fault window and fault.
 
-    A metric that no run has a number for is left out of the diagnosis, where most is about one kind of fault,
-    and of the position, which a test stand holds.
+    Of the diagnosis and the position, a metric is left out that no run has a number for.
     """
     runs, baseline, note = comparison.runs, None, ""
     labels = [comparison.label(run) for run in runs]

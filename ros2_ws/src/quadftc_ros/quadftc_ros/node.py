@@ -167,8 +167,8 @@ class GraphNode(ManagedNode):
     ) -> None:
         """Subscribe to the topic whose samples drive the node, as `reads` does.
 
-        ``restart()`` makes the next sample the first. The service ``~/reset`` calls it, and a new flight,
-        which shows in stamps that go back: in lock-step by any amount, in real time by more than `MAX_GAP`.
+        ``restart()`` makes the next sample the first. The service ``~/reset`` calls it, and so does a new
+        flight: its stamps go back, in lock-step by any amount, in real time by more than `MAX_GAP`.
         """
         tolerance_ns, newest_ns = -1 if self.lockstep else round(MAX_GAP * NANOSECONDS), -1
 

@@ -1,7 +1,7 @@
 """How a graph in real time shares the machine: how it waits, real-time priority, and processor cores.
 
-Linux only lets a process ask for a real-time priority if it may: as root, with the capability SYS_NICE, or
-within the limit ``rtprio`` of /etc/security/limits.conf. Elsewhere than on Linux there is neither.
+Linux gives a real-time priority to root, with the capability SYS_NICE, or within the limit ``rtprio`` of
+/etc/security/limits.conf. Other systems have neither.
 """
 
 from __future__ import annotations

@@ -65,8 +65,8 @@ class ArduPilotPhysics(AutopilotPhysics):
     """The physics behind SITL.
 
     A frame count that goes back is a restart. SITL asks again each second. A packet that comes again just
-    after our answer was sent before SITL had it: a second answer would put it a frame behind for good. One
-    that comes later says that the answer was lost.
+    after our answer crossed with it: a second answer would put SITL a frame behind for good. One that comes
+    later says that the answer was lost.
     """
 
     def __init__(

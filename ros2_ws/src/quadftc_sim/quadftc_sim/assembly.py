@@ -1,9 +1,8 @@
 """The simulator and the fault injector from the parameters of their nodes.
 
-The node ``plant`` has those of `PlantParameters`, disturbances (list of specifications), those of the plant
-that ``plant`` names and ``imu.<parameter>`` for each parameter of the sensor. In free flight it has a list of
-winds, too, and ``position.<parameter>``, ``mag.<parameter>`` and ``baro.<parameter>`` for each parameter of
-position sensor, magnetometer and barometer. The node
+The node ``plant`` has those of `PlantParameters`, disturbances (list of specifications), and those of the
+plant that it names. ``imu.<parameter>`` are those of the sensor. In free flight it has a list of winds, too,
+and ``position.``, ``mag.`` and ``baro.<parameter>`` of position sensor, magnetometer and barometer. The node
 ``fault_injector`` has those of `InjectorParameters` and faults (list of specifications). Others are ignored.
 A ValueError names the parameter that is wrong.
 """

@@ -1,6 +1,6 @@
 """Delay lines: the values of the last samples, of a fixed number, oldest first.
 
-A line holds NamedTuples of arrays and None, nested or not, with any leading axes, and its own axis behind
+A line holds NamedTuples of arrays and None, nested or not, with any leading axes. Its own axis is behind
 those: a vector (..., 3) becomes (..., count, 3), a flag (...) becomes (..., count).
 """
 

@@ -59,8 +59,8 @@ class SampleDraws(NamedTuple):
 class SensorDraws:
     """Draws the random numbers of one vehicle, in the order of the flight; ``turn_on`` are the IMU's first.
 
-    ``seed`` is that of the flight. The slow stream is [seed, 0, 1], that of the position sensor [seed, 0, 2],
-    of the magnetometer [seed, 0, 3], of the barometer [seed, 0, 4]; faults count from [seed, 1, 0].
+    ``seed`` is that of the flight. Streams: [seed, 0, 1] slow errors, [seed, 0, 2] position sensor,
+    [seed, 0, 3] magnetometer, [seed, 0, 4] barometer, and from [seed, 1, 0] faults.
     """
 
     def __init__(self, seed: int) -> None:

@@ -9,8 +9,8 @@ The attitude is measured as R exp(e), with the error e [rad] in body axes
     e = white noise + sum_k x_k - lag omega
     x_k' = a_k x_k + sqrt((1 - a_k^2) / 3) (wander + wander_moving sum_i |omega_i|) n,  a_k = exp(-dt / T_k)
 
-Each x_k is a first-order Gauss-Markov process with the correlation time T_k of `WANDER_TIMES` and n standard
-normal: at rest their sum has the standard deviation ``wander``. Motion feeds it, so that the error goes on
+Each x_k is a first-order Gauss-Markov process with the correlation time T_k of `WANDER_TIMES`; n is standard
+normal. At rest their sum has the standard deviation ``wander``. Motion feeds it, so that the error goes on
 for some T_k after the motion.
 
 What the accelerometer measures, the specific force at its place, is the plant's to say.

@@ -1,8 +1,9 @@
 """A flight, sample by sample, without ROS.
 
 A `Simulator` is plant, sensors and random numbers. A `PlantFlight` is what the plant node does with one. The
-command that acts for a period is the last that has come when the period ends: in lock-step that of the sample
-at its beginning. In real time it mostly comes long before the end, and the period is flown at once.
+command that acts for a period is the last that has come when the period ends. In lock-step that is the one of
+the sample at its beginning. In real time it mostly comes long before the end, and the period is flown at
+once.
 """
 
 from __future__ import annotations

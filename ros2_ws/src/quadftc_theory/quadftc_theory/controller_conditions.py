@@ -27,8 +27,8 @@ BRIEF = 0.01  # 1; share of the time for which a gain may be too small and Theor
 def estimation_error(observer: DisturbanceObserver, disturbance: Floats, noise: Floats, dt: float) -> Floats:
     """Run an observer on a disturbance and return d - d^ (44), (n, 3) [rad/s²].
 
-    Each axis turns alone and without torque, so that its rate is the integral of its disturbance (n, 3)
-    [rad/s²], piecewise linear between the samples, plus the ``noise`` (n, 3) of the gyro [rad/s].
+    Each axis turns alone and without torque. Its rate is the integral of its disturbance (n, 3) [rad/s²],
+    which is piecewise linear between the samples, plus the ``noise`` (n, 3) of the gyro [rad/s].
     """
     steps = 0.5 * dt * (disturbance[1:] + disturbance[:-1])
     rates = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) + noise

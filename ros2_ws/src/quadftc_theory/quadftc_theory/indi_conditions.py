@@ -1,7 +1,7 @@
 """Margins of incremental dynamic inversion, of the linear loop of one axis.
 
-The vehicle turns by x'' = A u / (g J), with the lag A(s) = 1/(T s + 1) of the rotors and g, its inertia over
-that of the model. The law, with the filter H(s) = w^2 / D(s), D = s^2 + sqrt(2) w s + w^2, is
+The vehicle turns by x'' = A u / (g J). A(s) = 1/(T s + 1) is the lag of the rotors, g the inertia over that
+of the model. The law, with the filter H(s) = w^2 / D(s), D = s^2 + sqrt(2) w s + w^2, is
 
     u = H A u - J (k_rate s + k_rate k_angle + H s^2) x
 

@@ -36,8 +36,8 @@ Floats = NDArray[np.float64]
 class IsolabilityResult:
     """Which faults can be detected, and which told apart from which.
 
-    In each matrix (n, n), entry (i, j) says whether fault i can be told apart from fault j: there is a
-    residual that responds to i and is blind to j. The diagonal is False.
+    In each matrix (n, n), entry (i, j) says whether fault i can be told apart from fault j. Then a residual
+    responds to i and is blind to j. The diagonal is False.
     """
 
     name: str  # the vehicle and its sensors
@@ -93,7 +93,7 @@ def analyse_model(model: LinearModel) -> IsolabilityResult:
 def rank_isolability(model: LinearModel) -> tuple[Mask, Mask]:
     """Detectable faults (n,) and isolability (n, n) of the linear model, at a generic s.
 
-    Fault i is told apart from j if, with H(s) the coefficients of the unknowns, there is a row N(s) with
+    H(s) are the coefficients of the unknowns. Fault i is told apart from j if there is a row N(s) with
     N H = 0, N F_j = 0, N F_i != 0.
     """
     constant, linear, faults = _scaled(model)
@@ -117,8 +117,8 @@ def strong_isolability(model: LinearModel) -> tuple[Mask, Mask]:
 def _scaled(model: LinearModel) -> tuple[Floats, Floats, Floats]:
     """H0, H1 of H(s) = H0 + H1 s over the unknowns (states, others), and F, scaled.
 
-    Equations, units of the unknowns and unit of time are scaled so that the logarithms of all coefficients
-    are as near zero as can be in least squares. Source: Curtis, Reid (1972), "On the automatic scaling of
+    The scales of equations, unknowns and time bring the logarithms of all coefficients as near zero as can
+    be in least squares. Source: Curtis, Reid (1972), "On the automatic scaling of
     matrices for Gaussian elimination". Ranks stay as they are, but rounding no longer hides them, as it would
     with an inertia of 1e-5 kg m².
     """

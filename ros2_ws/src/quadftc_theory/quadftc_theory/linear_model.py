@@ -16,8 +16,8 @@ Assumption 1, rank(C W) = rank(W). That is not enough: S1 must be blind to F and
 
     rank [C W, F] = rank(W) + rank(F),
 
-and p - r >= q follows. Construction: N with N F = 0 (its rows span the left null space), S1 = (N C W)^+ N, S2
-the left null space of C W, T1 = S1 C, T2 the left null space of W. Then C1 = I, and W1 = I where W has full
+and p - r >= q follows. Construction: the rows of N span the left null space of F, S1 = (N C W)^+ N, T1 =
+S1 C. S2 is the left null space of C W, T2 that of W. Then C1 = I, and W1 = I where W has full
 column rank (else a basis of its columns stands for W).
 
 The structural conditions ask nothing of the gains: where one of the ranks fails, no gain helps.

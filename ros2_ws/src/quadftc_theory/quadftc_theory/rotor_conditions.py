@@ -1,6 +1,6 @@
 """What a vehicle can still do with a rotor that is weak or off: the attainable set, and steady turning.
 
-Yaw is held in hover as long as weak rotors leave torque both ways: Du, Quan, Yang and Cai (2015),
+Yaw is held in hover as long as weak rotors leave torque both ways. Source: Du, Quan, Yang and Cai (2015),
 Controllability analysis for multirotor helicopter rotor degradation and failure, J. Guidance, Control, and
 Dynamics 38(5). Beyond it the vehicle spins; about body z, it has no torque about x and y in the mean.
 

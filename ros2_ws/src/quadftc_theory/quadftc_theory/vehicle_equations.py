@@ -5,9 +5,9 @@ Unknown are the state (angles, body rate, velocity, position), torque, thrust ov
 disturbances; known are sensors and commands. Every sensor axis and actuator can have a fault of any shape.
 
 Kinematics (4) and rotation (1), (2) of Wang et al. (2021), without the propellers' gyroscopic torque.
-Translation and specific force of a rotorcraft with linear drag after Martin, Salaün (2010), "The true role of
-accelerometer feedback in quadrotor control", ICRA, in body axes, with the thrust T along body z and the wind
-w:
+Translation and specific force of a rotorcraft with linear drag are in body axes, with the thrust T along body
+z and the wind w. Source: Martin, Salaün (2010), "The true role of accelerometer feedback in quadrotor
+control", ICRA.
 
     v' = f - omega x v + R^T g,    f = (0, 0, T/m) - D (v - w)
 """

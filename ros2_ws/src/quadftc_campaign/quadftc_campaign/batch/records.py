@@ -130,8 +130,8 @@ def _rotor_record(sums: dict[str, Floats], period: float) -> dict[str, float]:
 def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[Record]:
     """Metrics of each fault, as in the records of `quadftc_flight.diagnosis_metrics`.
 
-    Those of the attitude have what is known of its estimate, those of each sensor whether it was named, and
-    so those of each rotor, with what is known of its effectiveness.
+    Faults of the attitude have the errors of its estimate, faults of each sensor whether it was named. Faults
+    of rotors have both: whether the rotor was named, and the errors of its effectiveness.
     """
     places = {(event.component, event.axis): itertools.count() for event in events}
     records: list[Record] = []

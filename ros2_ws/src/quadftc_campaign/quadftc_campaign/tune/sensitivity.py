@@ -89,7 +89,7 @@ def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) 
     """Return how the numbers of a flight's laws (`numbers_of`) change by the logarithm of each gain.
 
     By the path of a number: (gains, ...). The laws are built by their own code, from gains a little larger
-    and smaller: that covers whatever a law computes of its gains when it is built.
+    and smaller. So what a law computes of its gains counts, too.
     """
 
     def build(logarithms: Floats) -> dict[str, AnyArray]:

@@ -3,22 +3,23 @@
     x1'' = x1d'' - k_rate (x1e' + k_angle x1e)        wanted acceleration of the Euler angles
     u = tau_f + J (omega_d' - omega_f')               omega_d': body acceleration that gives x1''
 
-omega_f' is the derivative of the gyro and tau_f the torque of the rotors, both behind the same second-order
-Butterworth filter, so that they belong to the same time. The difference of J omega_f' and tau_f is whatever
-else turns the vehicle: gyroscopic torque, drag, disturbances, and what is wrong with J. The law needs no
-model of it and no disturbance estimate. A torque that was cut enters tau_f as it was given: nothing winds up.
+omega_f' is the derivative of the gyro and tau_f the torque of the rotors. Both are behind the same
+second-order Butterworth filter, so they belong to the same time. The difference of J omega_f' and tau_f is
+whatever else turns the vehicle: gyroscopic torque, drag, disturbances, and what is wrong with J. The law
+needs no model of it and no disturbance estimate. A torque that was cut enters tau_f as it was given: nothing
+winds up.
 
 The torque of the rotors is that of measured speeds where there are some. Otherwise it is the last command
 behind a first-order lag: their model in Smeur et al. (2016), section II.C. A lag that the rotors do not have
 makes the law slower to reject disturbances; one that the model lacks makes it oscillate.
 
-Rotors that accelerate turn the vehicle by their inertia, about z and before their drag does: the torque tau_s
-of steady speeds acts as tau_s + kappa tau_s' (G_2 of Smeur et al. 2016). Where speeds are measured, tau_f
-has this part, and a low-pass of time constant kappa in the yaw command takes the lead out of the loop. The
+Rotors that accelerate turn the vehicle by their inertia, about z and before their drag does. The torque tau_s
+of steady speeds then acts as tau_s + kappa tau_s' (G_2 of Smeur et al. 2016). Where speeds are measured,
+tau_f has this part. A low-pass of time constant kappa in the yaw command takes the lead out of the loop. The
 paper's test stand has no such torque, and no measured speeds.
 
 The effectiveness matrix is in the allocation, which undoes it. Where rotors are weak, tau_f has to be the
-torque of the thrusts that they really give, so whoever turns speeds into torque knows how weak.
+torque of the thrusts that they really give. Whoever turns speeds into torque must know how weak they are.
 
 Deviations: increments are torques, not rotor commands; full kinematics (see sliding_surface).
 """

@@ -8,12 +8,12 @@ The paper prints the first term of (38) without its dot. With a disturbance esti
 (39)-(41), the design without observer. sat acts on each component, as k_c3 is diagonal. Theorem 2 with the
 boundary layer phi gives |S| <= phi in the end, not S = 0.
 
-Without observer k_c3 has to hold against the whole disturbance: where the estimate goes missing in flight,
-k_c3_alone takes over, with Phi in proportion, as noise and sampling bound k_c3 / Phi.
+Without observer k_c3 has to hold against the whole disturbance. Where the estimate goes missing in flight,
+k_c3_alone takes over. Phi grows in proportion, as noise and sampling bound k_c3 / Phi.
 
 Deviations: full kinematics (see sliding_surface); the torque is within the rotors' reach. Where it is cut,
-the integral stops if it would be driven further, and the surface moves along with S at the edge of its layer.
-Otherwise S would have to come back at the rate k_c3, with the attitude k_c3 / k_c1 off until then.
+the integral stops if it would be driven further. The surface then moves, and S stays at the edge of its
+layer. Otherwise S would have to come back at the rate k_c3, with the attitude k_c3 / k_c1 off until then.
 """
 
 from __future__ import annotations

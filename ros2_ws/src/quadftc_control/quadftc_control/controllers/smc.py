@@ -3,7 +3,7 @@
     S = x1e' + k_c2 x1e
     u = B_u^-1 (x1d'' - k_c2 x1e' - f(x2)) - B_u^-1 k_c3 sat(S)
 
-No integral and no disturbance estimate: a large k_c3 has to hold against every disturbance, and inside the
+It has no integral and no disturbance estimate: a large k_c3 has to hold against every disturbance. Inside the
 boundary layer a constant one leaves an error of d phi / (k_c3 k_c2).
 """
 

@@ -23,8 +23,8 @@ _PEAK_SPEED, _PEAK_ACCELERATION = (
 class Waypoints(Trajectory):
     """Fly straight from point to point, at rest at each: the legs of least snap.
 
-    The polynomial of degree 7 has three derivatives that vanish at both ends of a leg (Mellinger and Kumar
-    (2011), Minimum snap trajectory generation and control for quadrotors, IEEE ICRA).
+    The polynomial of degree 7 has three derivatives that vanish at both ends of a leg. Source: Mellinger and
+    Kumar (2011), Minimum snap trajectory generation and control for quadrotors, IEEE ICRA.
     """
 
     points: Axes = parameter(

@@ -3,8 +3,8 @@
 A page of any site can have a browser ask 127.0.0.1, and so can every user of the machine. So a request must
 name the host as 127.0.0.1 or localhost and must not come from another site's page. And it must bring the
 token of this start: as ``Authorization: Bearer TOKEN``, as ``?token=TOKEN``, or in a cookie. A browser gets
-the cookie for the address with the token. A page of the server then leads on to ``/``: a redirection would
-count as one of the page that held the link, for which the browser keeps a strict cookie back.
+the cookie for the address with the token. A page of the server then leads on to ``/``. A redirection
+would count as one of the page that held the link; for that the browser keeps a strict cookie back.
 """
 
 from __future__ import annotations

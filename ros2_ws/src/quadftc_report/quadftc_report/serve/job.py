@@ -2,8 +2,8 @@
 
     python -m quadftc_report.serve.job LOG DIR [--log=N] [--system=N] [--mapping=FILE]
 
-writes ``verdict.json``, ``report.html`` and ``picture.svg`` into DIR. Standard output has each stage as it
-begins, a line of `STAGES`, and last, with exit code 2, one line that says what is wrong with the log.
+writes ``verdict.json``, ``report.html`` and ``picture.svg`` into DIR. Standard output has a line of
+`STAGES` as each begins. With exit code 2 its last line says what is wrong with the log.
 """
 
 from __future__ import annotations
