@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 from typer import Argument, Option
@@ -125,11 +126,10 @@ def _fly_all(
     seconds = time.monotonic() - started
     frame, summary = flown.finish()
     report = write_campaign_report(loaded, frame, summary, directory, str(file))
-    if extent.missing and loaded.source.kind == "loop":
-        rate = f"{extent.samples / seconds:.3g} a second"
-        screen.print(f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: {rate}")
-    elif extent.missing:
-        screen.print(f"flown in {seconds:.1f} s")
+    if extent.missing:
+        flown_steps = f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s"
+        cost = f"{flown_steps}: {extent.samples / seconds:.3g} a second"
+        screen.print(cost if loaded.source.kind == "loop" else f"flown in {seconds:.1f} s")
     results = results_of(loaded, frame, summary)
     screen.print(_table(results))
     screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
@@ -144,7 +144,9 @@ def _table(results: Results) -> Table:
 
     shown = (f"{words}: median / 95 %" for words in SHOWN.values())
     of_faults = ("missed faults", "detection delay [s]: median / 95 %", "false alarms an hour")
-    table = Table("variant", "flights", *map(escape, (*shown, *of_faults)))
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for heading in ("variant", "flights", *shown, *of_faults):
+        table.add_column(escape(heading), justify="left" if heading == "variant" else "right")
     for side in results.sides:
         each = side.summary
         faults = each["faults"].get("all", {})
