@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from footprint import CORTEX_M4F, CORTEX_M7, footprint_of, has_compiler
 
 from quadftc_cli.exporting import exported_law, guarded_law
 from quadftc_compile.export import write_law
-from quadftc_compile.footprint import CORTEX_M4F, CORTEX_M7, footprint_of, has_compiler
 from quadftc_model.rotations import to_earth
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "examples" / "embedded"

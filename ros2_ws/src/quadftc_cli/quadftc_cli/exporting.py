@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from quadftc_compile.export import Exported, export_of, write_example, write_law, write_readme
-from quadftc_compile.footprint import Footprint, Target, footprints_of
 from quadftc_compile.layout import layout_of
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.samples import write_samples
@@ -116,36 +115,18 @@ def exported_law(name: str, law: Any, real: str = "double") -> Exported:
     return export_of(recipe_of(law, law.example(), name=re.sub(r"\W", "_", name)), real)
 
 
-def write_export(exported: Exported, name: str, folder: Path, flies: bool = False) -> dict[Target, Footprint]:
-    """Write a law into a folder; return what it needs on microcontrollers, if there is a compiler."""
+def write_export(exported: Exported, name: str, folder: Path, flies: bool = False) -> None:
+    """Write a law into a folder."""
     kind, law = kind_of(name), exported.recipe.law.named_after.named_after
     write_law(exported, folder)
     write_example(exported, folder)
-    found = footprints_of(folder, exported.name, exported.real)
     summary = (inspect.getdoc(kind.registry.get(name)) or "").partition("\n")[0]
     place = "free flight" if flies else "the test stand"
     about = f"{summary} A {kind.registry.kind} of quadftc for {law.vehicle.name}, {place}."
     recorded = (
         "" if flies or kind.inputs is None else f"quadftc export {name} --samples BAG --out samples.csv"
     )
-    rows = footprint_rows(exported, found)
-    write_readme(exported, folder, about, [*GUARD, *kind.notes(flies)], rows, recorded)
-    return found
-
-
-def footprint_rows(exported: Exported, found: dict[Target, Footprint]) -> list[str]:
-    """Return rows of a table in Markdown of what a law needs."""
-    if not found:
-        return [f"| stack of a step, its arrays alone | {exported.program.functions['step'].stack} bytes |"]
-    return [
-        row
-        for target, each in found.items()
-        for row in (
-            f"| {target.name}: flash of the law; with what it takes of the C library "
-            f"| {each.flash} bytes; {each.flash_with_libm} bytes |",
-            f"| {target.name}: stack of a step, besides that of libm | {each.stack} bytes |",
-        )
-    ]
+    write_readme(exported, folder, about, [*GUARD, *kind.notes(flies)], recorded)
 
 
 def recorded_inputs(name: str = "") -> Callable[[Recording], object]:

@@ -91,13 +91,9 @@ def write_readme(
     folder: Path,
     about: str,
     notes: Iterable[str] = (),
-    footprints: Iterable[str] = (),
     recorded: str = "",
 ) -> None:
-    """Write what a user of the folder has to know.
-
-    ``footprints`` are rows of the table of what it needs, ``recorded`` is a command that makes samples.csv.
-    """
+    """Write what a user of the folder has to know; ``recorded`` is a command that makes samples.csv."""
     step, columns = exported.program.functions["step"], sample_columns(exported.layouts["inputs"])
     parts = {
         **_common_parts(exported),
@@ -110,7 +106,7 @@ def write_readme(
         "NUMBERS_BYTES": str(exported.bytes_of("numbers")),
         "OPERATIONS": str(step.operations),
         "STATEMENTS": str(step.statements),
-        "FOOTPRINTS": "".join(f"{each}\n" for each in footprints),
+        "STACK_BYTES": str(step.stack),
         "RECORDED": f"{recorded}\n" if recorded else "",
         "COLUMNS_COUNT": str(len(columns)),
         "COLUMNS": ", ".join(f"`{each}`" for each in columns),

@@ -4,8 +4,9 @@ import shutil
 import subprocess
 from pathlib import Path
 
+from footprint import CORTEX_M4F, CORTEX_M7, has_compiler, told
+
 from quadftc_compile.export import FLAGS
-from quadftc_compile.footprint import CORTEX_M4F, CORTEX_M7, has_compiler, told
 
 PARTS = Path(__file__).parent / "emulated"
 BOARDS = {CORTEX_M7: "mps2-an500", CORTEX_M4F: "mps2-an386"}

@@ -159,12 +159,12 @@ def test_a_law_whose_output_is_an_array_is_refused():
 
 def test_the_readme_says_what_a_law_needs(tmp_path):
     exported = export_of(recipe_of(Tagged(), Tagged().example()))
-    write_readme(exported, tmp_path, "A filter.", ["Mind the gap."], ["| stack of a step | 7 bytes |"])
+    write_readme(exported, tmp_path, "A filter.", ["Mind the gap."])
     text = (tmp_path / "README.md").read_text(encoding="utf-8")
     columns = sample_columns(exported.layouts["inputs"])
     assert columns == HEAD.strip().split(",")
     assert f"{len(columns)} columns: {', '.join(f'`{each}`' for each in columns)}" in text
-    for words in ("A filter. In double precision", "- Mind the gap.", "| stack of a step | 7 bytes |"):
+    for words in ("A filter. In double precision", "- Mind the gap.", "| stack of a step, its arrays"):
         assert words in text
     assert "| state, each of two | 40 bytes |" in text  # four doubles and a whole number, with a gap
     assert "@" not in text

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from quadftc_compile.footprint import CORTEX_M4F, CORTEX_M7, footprint_of, footprints_of
+from footprint import CORTEX_M4F, CORTEX_M7, footprint_of, footprints_of
 
 pytest.importorskip("jax")
 sys.path.insert(0, str(Path(__file__).parent))

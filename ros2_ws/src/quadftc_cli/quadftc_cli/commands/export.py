@@ -85,16 +85,13 @@ def export(
         return _export_samples(samples, topic, law, out)
     if not law or not vehicle:
         raise ValueError("export: expected LAW and --vehicle, or --samples BAG")
-    from quadftc_cli.exporting import exported_law, footprint_rows, guarded_law, write_export
+    from quadftc_cli.exporting import exported_law, guarded_law, write_export
 
     guarded = guarded_law(law, vehicle, set_, flies)
     out.mkdir(parents=True, exist_ok=True)
-    say("tracing the law, and measuring flash and stack: some seconds")
+    say("tracing the law: some seconds")
     exported = exported_law(law, guarded, "float" if single else "double")
-    found = write_export(exported, law, out, flies)
-    say(*(row.strip("| ").replace(" | ", ": ") for row in footprint_rows(exported, found)))
-    if not found:
-        say("flash and stack: not measured, there is no arm-none-eabi-gcc")
+    write_export(exported, law, out, flies)
     say(f"{law} in C: {out}; read {out / 'README.md'}")
     return 0
 
