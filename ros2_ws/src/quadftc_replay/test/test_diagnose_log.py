@@ -110,6 +110,75 @@ def test_knock_is_no_gyro_fault():
     assert not inspect(log).verdict.findings
 
 
+def test_load_that_falls_off_is_no_accelerometer_fault_and_an_offset_that_stays_is():
+    log = hover()
+    force, late = log.accelerometers[""], log.accelerometers[""].time - 12.0
+    force.value[:, 2] += np.where(late > 0.0, 3.0 * np.exp(-late / 0.5), 0.0)
+    assert not inspect(log).verdict.findings
+    (found,) = findings("bias channel=accelerometer axis=z value=3 start=12s")
+    assert (found.component, found.element) == ("accelerometer", "z")
+
+
+def test_touch_down_that_gyro_and_accelerometer_feel_is_no_gyro_fault():
+    log = hover()
+    log.gyros[""].value[5000:5500, 0] += 0.3
+    assert [each.onset_s for each in inspect(log).verdict.findings] == [pytest.approx(20.0, abs=0.05)]
+    log.accelerometers[""].value[5000:5020, 2] += 20.0
+    assert [each.onset_s for each in inspect(log).verdict.findings] == [pytest.approx(22.0, abs=0.05)]
+
+
+def test_accelerometer_that_gets_noisy_hits_no_ground():
+    log = hover()
+    rng = np.random.default_rng(2)
+    log.accelerometers[""].value[4000:, 2] += 30.0 * rng.standard_normal(len(log.gyros[""]) - 4000)
+    verdict = inspect(log).verdict
+    assert [(each.component, each.element, each.kind) for each in verdict.findings] == [
+        ("accelerometer", "z", "noise")
+    ]
+    assert verdict.ending.kind == "in flight"
+
+
+def test_battery_that_breaks_down_early_is_named_and_one_that_sags_under_a_load_is_not():
+    log = hover()
+    assert log.battery is not None
+    assert log.rotor_commands is not None
+    log.battery.value[3000:] -= 3.0
+    (found,) = inspect(log).verdict.findings
+    assert (found.component, found.kind, found.onset_s) == (
+        "battery",
+        "brownout",
+        pytest.approx(12.0, abs=0.1),
+    )
+    loaded = hover()
+    assert loaded.battery is not None
+    assert loaded.rotor_commands is not None
+    pull = np.interp(loaded.battery.time % 10.0, [4.0, 4.5, 5.5, 6.0], [0.0, 1.0, 1.0, 0.0])
+    loaded.rotor_commands.value[:] += 0.4 * pull[:, None]
+    loaded.battery.value[:, 0] -= 2.5 * pull
+    assert not inspect(loaded).verdict.findings
+
+
+def test_battery_that_a_flight_empties_has_not_broken_down():
+    log = hover()
+    assert log.battery is not None
+    log.battery.value[:, 0] = 16.0 - 4.5 * log.battery.time / SECONDS
+    assert not inspect(log).verdict.findings
+
+
+def test_accelerometers_at_two_places_agree_as_the_vehicle_turns_fast():
+    log = hover()
+    gyro, force = log.gyros[""], log.accelerometers[""]
+    gyro.value[:, 0] += 7.0 * np.exp(-(((gyro.time % 6.0 - 3.0) / 0.4) ** 2))
+    rng = np.random.default_rng(3)
+    away = -(gyro.value[:, :1] ** 2) * [0.0, 0.03, 0.0] + 0.2 * rng.standard_normal(force.value.shape)
+    two = {"": force, "1": Signal(force.time, force.value + away)}
+    gyros = {"": gyro, "1": Signal(gyro.time, gyro.value + 0.005 * rng.standard_normal(force.value.shape))}
+    log = dataclasses.replace(log, accelerometers=two, gyros=gyros)
+    assert not inspect(log).verdict.findings
+    two["1"].value[3000:, 1] += 2.0
+    assert [each.component for each in inspect(log).verdict.findings] == ["accelerometer 1"]
+
+
 def test_battery_that_breaks_down_is_named():
     log = hover()
     assert log.battery is not None
@@ -236,6 +305,21 @@ def test_baseline_of_rotors_without_a_layout_is_said_to_be_of_no_use():
     said = [each.reason for each in inspect(log, healthy).verdict.not_judged if each.component == "rotor"]
     alone = [each.reason for each in inspect(log).verdict.not_judged if each.component == "rotor"]
     assert said == [*alone, "a baseline is of no use where their layout is not known"]
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_rotor_whose_speed_is_logged_slowly_stands_if_the_vehicle_turned_since_the_last_sample(turns: bool):
+    log = shares([1.0, 1.0, 1.0, 1.0], 6)
+    time = np.arange(0.0, 20.0, 0.5)
+    speeds = np.full((len(time), 4), 600.0) + np.random.default_rng(1).standard_normal((len(time), 4))
+    speeds[time > 14.1, 1] = 3.0
+    fine = np.arange(0.0, 20.0, 0.01)
+    rates = 0.02 * np.random.default_rng(2).standard_normal((len(fine), 3))
+    rates[:, 1] += 0.2 * np.sin(3.0 * fine)
+    rates[:, 0] += 1.5 * turns * np.exp(-(((fine - 14.2) / 0.05) ** 2))  # the others hold it, at once
+    log = dataclasses.replace(log, rotor_speeds=Signal(time, speeds), gyros={"": Signal(fine, rates)})
+    named = {each.component for each in inspect(log).verdict.findings}
+    assert named == ({"rotor"} if turns else {"speed sensor"})
 
 
 def test_rotor_that_stands_still_is_named_by_its_speed():

@@ -12,14 +12,18 @@ import pytest
 from quadftc_model.rotations import quaternion_from_euler, quaternion_product, to_body
 from quadftc_replay.flight_log import Event, FlightLog, Signal
 from quadftc_replay.inspection.attitude import Creep
-from quadftc_replay.inspection.compass import Field, owner_by_field
-from quadftc_replay.inspection.flight import Interval
+from quadftc_replay.inspection.compass import Field, fields_of, owner_by_field
+from quadftc_replay.inspection.flight import Interval, prepare
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.verdict import Finding
 
 END, ONSET, UNTIL = 40.0, 18.05, 25.05  # s
 FIELD, GRAVITY = np.array([50.0, 220.0, -420.0]), np.array([0.0, 0.0, 9.80665])  # mG, m/s²
 Change = Callable[[Signal], Signal]
+SENSORS = (
+    *("gyros", "accelerometers", "magnetometers", "barometers"),
+    *("gps_positions", "gps_velocities", "gps_status"),
+)
 
 
 def at(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -275,6 +279,29 @@ def test_barometer_that_holds_its_height_without_the_noise_of_the_air_is_stuck()
     found = first_of(changed(fly(), barometers=held))
     assert (found.component, found.kind, found.end_s) == ("barometer", "stuck", None)
     assert found.onset_s == pytest.approx(ONSET, abs=1.5)  # the noise is that of 1.6 s
+
+
+@pytest.mark.parametrize("seconds", [0.6, 3.0])
+def test_clock_that_jumps_is_no_fault_of_the_satellites(seconds: float):
+    log = fly()
+
+    def late(signal: Signal) -> Signal:
+        return Signal(signal.time + seconds * (signal.time > ONSET), signal.value)
+
+    named = {field: {name: late(each) for name, each in getattr(log, field).items()} for field in SENSORS}
+    flown = {field: late(getattr(log, field)) for field in ("attitude", "rotor_commands")}
+    assert inspect(dataclasses.replace(log, **named, **flown)).verdict.findings == ()
+
+
+def test_attitude_that_goes_wrong_with_the_flight_is_no_interference():
+    log, time = fly(), np.arange(0.0, END, 0.1)
+    level = 0.4 + 0.2 * np.sin(2.0 * time)
+    field = to_body(at(time)[3], np.tile(FIELD, (len(time), 1)))
+    field[:, 2] += np.where(time > 8.0, 500.0 * np.sin(2.0 * time), 0.0)  # as the attitude is wrong
+    commands = Signal(time, np.tile(level, (4, 1)).T)
+    log = dataclasses.replace(log, rotor_commands=commands, magnetometers={"": Signal(time, field)})
+    assert fields_of(prepare(log), until=END)[""].currents[2] > 500.0
+    assert abs(fields_of(prepare(log), until=8.0)[""].currents[2]) < 100.0
 
 
 def test_log_that_loses_messages_by_chance_lacks_no_sensor():

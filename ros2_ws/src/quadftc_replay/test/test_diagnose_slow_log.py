@@ -153,6 +153,27 @@ def test_torque_that_the_ground_answers_is_no_lost_rotor():
     assert verdict.flight_s == pytest.approx(19.0, abs=1.0)
 
 
+def test_rotors_that_shake_a_vehicle_on_the_ground_fly_nothing():
+    rng, log = np.random.default_rng(4), healthy(1)
+    assert log.rotor_commands is not None
+    (name, gyro), (time, commands) = next(iter(log.gyros.items())), log.rotor_commands
+    turning = (gyro.time > 5.0) & (gyro.time < 20.0)
+    rates = (0.005 + 0.2 * turning[:, None]) * rng.standard_normal(gyro.value.shape)
+    rates[(gyro.time > 5.0) & (gyro.time < 6.0), 0] += 0.1  # it settles as they begin to turn
+    uneven = 0.25 * np.array([1.5, 0.7, 1.1, 0.7])
+    held = dataclasses.replace(
+        log,
+        gyros={name: Signal(gyro.time, rates)},
+        accelerometers={name: Signal(gyro.time, GRAVITY + 0.1 * rng.standard_normal(rates.shape))},
+        attitude=None,
+        rotor_commands=Signal(time, ((time > 5.0) & (time < 20.0))[:, None] * (uneven + 0.0 * commands)),
+        velocity=Signal(time, 0.05 * rng.standard_normal((len(time), 3))),
+        gps_velocities={},
+    )
+    said = [each.reason for each in judge(held).not_judged if each.component == "rotor"]
+    assert (judge(held).findings, said) == ((), ["the ground holds the vehicle whenever the rotors turn"])
+
+
 @pytest.mark.parametrize(("rotor", "share"), sampled([0, 3], [0.4, 1.0], every=3))
 def test_rotor_that_loses_thrust_is_the_first_cause(rotor: int, share: float):
     verdict = judge(fly(lost=(rotor, share), seconds=ONSET + 3.0))

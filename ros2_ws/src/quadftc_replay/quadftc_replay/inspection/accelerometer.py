@@ -8,9 +8,19 @@ import numpy as np
 
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.attitude import LONG
 from quadftc_replay.inspection.flight import Flight, rests_of
 from quadftc_replay.inspection.found import BODY_AXES, Found, make_found
-from quadftc_replay.inspection.steps import LIMITS, begins_within, join_ends, shows, step_found, steps_of
+from quadftc_replay.inspection.steps import (
+    LIMITS,
+    SAME,
+    Step,
+    begins_within,
+    join_ends,
+    shows,
+    step_found,
+    steps_of,
+)
 
 PULSE = 0.1  # s; what goes back within it is a knock
 REST = 0.15  # m/s²; largest scatter at rest
@@ -27,9 +37,18 @@ def accelerometer_findings(
         own = [
             each for each in steps if not each.is_pulse and not any(shows(other, each) for other in others)
         ]
-        for step in join_ends(own, PULSE):
+        for step in (each for each in join_ends(own, PULSE) if _stays(flight, sensor, each)):
             yield step_found(flight, component, sensor, limits, step)
     yield from _rest_findings(flight, component, sensor)
+
+
+def _stays(flight: Flight, sensor: Signal, step: Step) -> bool:
+    """Whether most of a step stays: a load that falls off is a step, too, until the rotors give less."""
+    until = min(flight.until, step.onset + LONG, np.inf if step.end is None else step.end)
+    edges = np.searchsorted(sensor.time, (step.onset - LONG, step.onset, until))
+    before, after = (sensor.value[slice(*each), step.axis] for each in (edges[:2], edges[1:]))
+    change = float(np.nanmedian(after) - np.nanmedian(before)) if len(before) and len(after) else 0.0
+    return change * np.sign(step.size) > SAME * abs(step.size)
 
 
 def _rest_findings(flight: Flight, component: str, sensor: Signal) -> Iterator[Found]:

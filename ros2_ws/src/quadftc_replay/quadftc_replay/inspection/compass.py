@@ -55,13 +55,13 @@ class Field(NamedTuple):
         return len(part) > 1 and float(np.ptp(part, axis=0).max()) > TURNED * self.size
 
 
-def fields_of(flight: Flight) -> dict[str, Field]:
-    """Fit every magnetometer that there is enough of."""
-    fields = {name: _field_of(flight, sensor) for name, sensor in flight.log.magnetometers.items()}
+def fields_of(flight: Flight, until: float = np.inf) -> dict[str, Field]:
+    """Fit every magnetometer that there is enough of; beyond ``until`` [s] the attitude may be wrong."""
+    fields = {name: _field_of(flight, sensor, until) for name, sensor in flight.log.magnetometers.items()}
     return {name: each for name, each in fields.items() if each is not None}
 
 
-def _field_of(flight: Flight, sensor: Signal) -> Field | None:
+def _field_of(flight: Flight, sensor: Signal, until: float) -> Field | None:
     """Fit the field of the earth to a magnetometer; None without an attitude, or with too few samples."""
     attitude = flight.log.attitude
     if attitude is None or len(attitude) < FEWEST:
@@ -76,12 +76,14 @@ def _field_of(flight: Flight, sensor: Signal) -> Field | None:
     currents = level[:, None, None] * np.eye(3)
     columns = np.concatenate([turned, currents], axis=2)  # (n, 3, 6)
     moved = np.any(np.diff(value, axis=0) != 0.0, axis=1)  # what repeats its reading says nothing
+    if np.count_nonzero(moved & (time[1:] < until)) > FEWEST:
+        moved &= time[1:] < until
     turns, changes = np.diff(columns, axis=0)[moved], np.diff(value, axis=0)[moved]
-    known, sigma = _fit(turns.reshape(-1, 6), changes.ravel())
+    known, sigma = robust_fit(turns.reshape(-1, 6), changes.ravel())
     expected = columns @ known
     size = float(np.nanmedian(np.linalg.norm(value, axis=1)))
     currents = _least(
-        [_fit(turns[half].reshape(-1, 6), changes[half].ravel())[0][3:] for half in _halves(turns)]
+        [robust_fit(turns[half].reshape(-1, 6), changes[half].ravel())[0][3:] for half in _halves(turns)]
     )
     return Field(Signal(time, value - expected), size, currents, sigma[3:], expected)
 
@@ -107,7 +109,7 @@ def _level(flight: Flight, time: Floats) -> Floats:
     return there / (high - low) if high > low else np.zeros(len(time))
 
 
-def _fit(columns: Floats, changes: Floats) -> tuple[Floats, Floats]:
+def robust_fit(columns: Floats, changes: Floats) -> tuple[Floats, Floats]:
     """Fit robustly; return what multiplies each column (k,), and its standard deviation."""
     good = np.isfinite(changes) & np.isfinite(columns).all(axis=1)
     columns, changes = columns[good], changes[good]

@@ -32,6 +32,7 @@ CRASH = 3.0  # s; after an impact, at which the vehicle lies still
 BEFORE_IMPACT = 0.3  # s
 AFTER_IMPACT = 0.1  # s; around which nothing is judged
 STILL = 0.05  # rad/s; scatter of a gyro of a vehicle that lies still
+CLIMBS = 0.3  # m/s; over a second; a velocity's noise (ArduPilot EK3_VELNE_M_NSE, PX4 EKF2_GPS_V_NOISE)
 HELD = 0.1  # 1; share of its weight that the ground holds
 RESTS = 2.0  # s; of a stretch at rest
 
@@ -156,14 +157,38 @@ def row_means(values: Floats) -> Floats:
 
 
 def _find_impacts(log: FlightLog) -> Floats:
+    """Times at which the force is beyond what motion makes (m,); a sensor that shakes alone is none."""
     found = [np.zeros(0)]
     for each in log.accelerometers.values():
         if len(each):
             size = np.nan_to_num(np.linalg.norm(each.value, axis=1))
-            seconds = np.flatnonzero(np.diff(np.floor(each.time), prepend=-1.0))
-            usual = float(np.median(np.maximum.reduceat(size, seconds)))
-            found.append(each.time[size > max(IMPACT, SHAKEN * usual)])
+            limit, hard = _beyond(each.time, size, IMPACT)
+            for run in hard:
+                inside = (each.time >= run.start) & (each.time < run.end) & (size > limit)
+                if run.end - run.start <= 2.0 * CRASH or _is_shaken(log, run):
+                    found.append(each.time[inside])
     return np.unique(np.concatenate(found))
+
+
+def _beyond(time: Floats, size: Floats, least: float) -> tuple[float, list[Interval]]:
+    """Return a limit of a size (n,), by what most seconds reach, and the seconds on end beyond it."""
+    starts = np.flatnonzero(np.diff(np.floor(time), prepend=-1.0))
+    largest = np.maximum.reduceat(size, starts)
+    limit = max(least, SHAKEN * float(np.median(largest)))
+    seconds: Floats = np.floor(time[starts])
+    runs = runs_of(largest > limit)
+    return limit, [Interval(float(seconds[run.start]), float(seconds[run.stop - 1]) + 1.0) for run in runs]
+
+
+def _is_shaken(log: FlightLog, span: Interval) -> bool:
+    """Whether the vehicle turns faster in a span than in most seconds."""
+    gyro = next((each for each in log.gyros.values() if len(each) > 1), log.body_rate)
+    if gyro is None:
+        return True
+    size = np.linalg.norm(np.nan_to_num(gyro.value), axis=1)
+    inside = size[slice(*np.searchsorted(gyro.time, span))]
+    limit, _ = _beyond(gyro.time, size, 0.0)
+    return bool(len(inside) and np.quantile(inside, 0.9) > limit)
 
 
 def _turning(level: Signal) -> list[Interval]:
@@ -213,6 +238,8 @@ def _off_the_ground(log: FlightLog, level: Signal, flights: Sequence[Interval]) 
         inside = (time >= each.start) & (time <= each.end)
         moving = shares[inside & ~still]
         begins, ends = each.start - time[0] >= 1.0, time[-1] - each.end >= 1.0
+        if (begins or ends) and not _climbs(log, each):
+            continue
         if len(moving) < BRIDGED * level.rate:
             if not (begins or ends):  # all that is logged may be a hover in calm air
                 yield each
@@ -231,15 +258,29 @@ def _off_the_ground(log: FlightLog, level: Signal, flights: Sequence[Interval]) 
 
 
 def _lies_still(log: FlightLog, time: Floats) -> Mask:
-    """Whether all gyros that are alive turn next to nothing about roll and pitch at each time (n,)."""
+    """Whether all gyros that are alive turn next to nothing about roll and pitch at each time (n,).
+
+    Means count: rotors shake a vehicle that the ground holds.
+    """
     gyros = [each for each in (*log.gyros.values(), log.body_rate) if each is not None and len(each) > 1]
     still = np.full(len(time), bool(gyros))
     for each in gyros:
         rates: Floats = np.nan_to_num(each.value[:, :2])  # zero on average, as yaw need not be
-        square = _smooth(Signal(each.time, (rates - np.median(rates, axis=0)) ** 2))
+        slow = _smooth(Signal(each.time, rates - np.median(rates, axis=0)))
+        square = _smooth(Signal(each.time, slow**2))
         scatter = np.sqrt(np.clip(Signal(each.time, square).at(time), 0.0, None)).max(axis=1)
         still &= (scatter > 0.0) & (scatter < STILL)
     return still
+
+
+def _climbs(log: FlightLog, flight: Interval) -> bool:
+    """Whether the vehicle ever goes up or down from shortly before a stretch on, as far as anybody knows."""
+    velocity = log.velocity or log.gps_velocity
+    if velocity is None or len(velocity) < 2 or not np.nanstd(velocity.value[:, 2]) > 0.0:
+        return True
+    mean = ndimage.uniform_filter1d(np.nan_to_num(velocity.value[:, 2]), max(1, round(velocity.rate)))
+    around = slice(*np.searchsorted(velocity.time, (flight.start - CRASH, flight.end + CRASH)))
+    return bool(np.any(np.abs(mean[around]) > CLIMBS))
 
 
 def _touches_down(force: Signal, left: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.agreement import Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
-from quadftc_replay.inspection.flight import Flight, rests_of
+from quadftc_replay.inspection.flight import Flight, near_any, rests_of
 from quadftc_replay.inspection.found import BODY_AXES, Found, component_name, make_found
 from quadftc_replay.inspection.steps import (
     LIMITS,
@@ -48,6 +48,7 @@ def gyro_findings(
         others = [gyros[other] for other in gyros if other != name]
         steps = steps_of(flight, sensor, LIMITS["gyro"])
         own = [step for step in steps if not any(shows(other, step) for other in others)]
+        own = _without_knocks(flight, name, own)
         ask = agreement if number == 0 else None
         # where nobody knows what moves the vehicle, a step needs a witness
         trusted = (flight.phases_known and (ask is None or is_own)) or bool(others)
@@ -61,6 +62,16 @@ def gyro_findings(
             found += _pulse_findings(name, [step for step in own if step.is_pulse])
         found += _rest_findings(flight, name, sensor)
     return found, left
+
+
+def _without_knocks(flight: Flight, name: str, steps: Sequence[Step]) -> list[Step]:
+    """Leave out steps at which the accelerometer beside the gyro jumps, too: a touch-down makes both."""
+    force = flight.log.accelerometers.get(name)
+    if not steps or force is None:
+        return list(steps)
+    knocks = np.array([each.onset for each in steps_of(flight, force, LIMITS["accelerometer"])])
+    moments = np.array([step.onset for step in steps])
+    return [step for step, near in zip(steps, near_any(moments, knocks, TOGETHER), strict=True) if not near]
 
 
 def _confirms(witness: Agreement, step: Step) -> bool:

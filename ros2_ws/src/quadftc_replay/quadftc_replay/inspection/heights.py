@@ -21,7 +21,7 @@ from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Curve, Found, component_name, confidence, make_found
 from quadftc_replay.inspection.jumps import DRIFT, FEWEST, JUMP, find_jumps
 from quadftc_replay.inspection.path import DELAYS, attitude_at
-from quadftc_replay.inspection.readings import noise_findings
+from quadftc_replay.inspection.readings import noise_findings, pauses_of
 from quadftc_replay.inspection.steps import Step
 from quadftc_replay.inspection.verdict import show
 from quadftc_replay.inspection.whitening import Floats
@@ -75,7 +75,7 @@ def velocity_findings(flight: Flight) -> Iterator[Found]:
         late = (Signal(time + delay, acceleration) for delay in DELAYS.tolist())
         residual = min((_less_integral(velocity, each) for each in late), key=_unrest)
         smallest = np.full(len(residual), GATE * SPEED)
-        for step in find_jumps(residual, flight.is_calm(residual.time), smallest)[0]:
+        for step in find_jumps(residual, flight.is_calm(residual.time), smallest, _breaks(flight))[0]:
             if not _is_sharp(residual, step) or step.sigma > SPEED:
                 continue  # a wrong heading or force takes its time; force sampled too slowly says little
             element, way = _way(step.axis, step.size)
@@ -96,7 +96,8 @@ def barometer_findings(flight: Flight) -> tuple[list[Found], bool]:
     for name, residual in residuals.items():
         # wind of the vehicle's own speed adds up to its dynamic pressure
         dynamic: Floats = np.interp(residual.time, velocity.time, speed) ** 2 / (2.0 * STANDARD_GRAVITY)
-        jumps[name] = find_jumps(residual, flight.is_calm(residual.time), GROUND_EFFECT + dynamic)
+        calm = flight.is_calm(residual.time)
+        jumps[name] = find_jumps(residual, calm, GROUND_EFFECT + dynamic, _breaks(flight))
         found += _noise(flight, component_name(BAROMETER, name), residual, ("",), ROUGH)
     receivers = [_receiver_jumps(flight, name, each) for name, each in _receivers(flight).items()]
     for which, kind in enumerate(KINDS):
@@ -165,7 +166,12 @@ def _receiver_jumps(flight: Flight, name: str, residual: Signal) -> tuple[list[S
     claimed = np.full(len(residual), CLAIMED)
     if status is not None:
         claimed = np.fmax(claimed, np.interp(residual.time, status.time, status.value[:, 2]))
-    return find_jumps(residual, flight.is_calm(residual.time), GATE * claimed)
+    return find_jumps(residual, flight.is_calm(residual.time), GATE * claimed, _breaks(flight))
+
+
+def _breaks(flight: Flight) -> Floats:
+    """Times at which an integral starts anew, as the log pauses or its clock jumps (m,)."""
+    return np.array([each.end for each in pauses_of(flight.log)])
 
 
 def _has(steps: Sequence[Step], step: Step) -> bool:

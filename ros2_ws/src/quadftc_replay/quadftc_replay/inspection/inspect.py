@@ -71,7 +71,7 @@ def inspect(
     progress(0.2)
     inspection.found += _readings(flight, gyros)
     progress(0.4)
-    fields = fields_of(flight)
+    fields = fields_of(flight, ending.time_s if ending.kind == "out of control" else flight.until)
     found, judged = navigation_findings(flight, agreement, _longest(flight, None), fields)
     blamed = {each.finding.component for each in found}
     sound = [field for name, field in fields.items() if component_name(COMPASS, name) not in blamed]
@@ -224,9 +224,13 @@ def _creeping(
     known = {each.finding.component for each in found}
     if any(name.startswith("accelerometer") for name in known):
         return []
+    attitude = flight.log.attitude
     main = next(iter(gravity), None)  # the gyro that was compared with the attitude
     creeps = [
-        offset_finding(flight, component_name("gyro", name), own, agreement if name == main else None)
+        offset_finding(
+            *(flight, component_name("gyro", name), own),
+            agreement if name == main or attitude is None else compare(attitude, flight.log.gyros[name]),
+        )
         for name, own in gravity.items()
         if component_name("gyro", name) not in known
     ]
@@ -238,5 +242,5 @@ def _by_gravity(log: FlightLog, gyros: dict[str, Signal]) -> dict[str, OwnEstima
     force = next(iter(log.accelerometers.values()), None)
     if force is None:
         return {}
-    found = {name: estimate(sensor, force) for name, sensor in gyros.items()}
+    found = {name: estimate(log, sensor, force) for name, sensor in gyros.items()}
     return {name: own for name, own in found.items() if own is not None}

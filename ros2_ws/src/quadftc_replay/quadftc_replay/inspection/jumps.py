@@ -28,6 +28,7 @@ CALM, CALM_SIGMA = 0.3, 0.385  # 1; quantile of |c_hat| that is calm, and what i
 LEVEL = 8.0  # standard deviations, as of steps
 TINY = 1e-9  # 1; of what one sample tells
 MOST = 20  # jumps of one element
+NOWHERE = np.zeros(0)
 
 
 class Shape(NamedTuple):
@@ -44,26 +45,28 @@ class Shape(NamedTuple):
 STEP, RAMP = Shape(JUMP, 0), Shape(DRIFT, 1)
 
 
-def find_jumps(residual: Signal, watched: Mask, smallest: Floats) -> tuple[list[Step], list[Step]]:
+def find_jumps(
+    residual: Signal, watched: Mask, smallest: Floats, breaks: Floats = NOWHERE
+) -> tuple[list[Step], list[Step]]:
     """Find jumps and drifts of a residual (n, k), in the order of time, each with its end.
 
     ``watched`` (n,) says where; ``smallest`` (n,) is a jump that healthy sensors reach. The size of a drift
-    counts per second. NaN are left out.
+    counts per second. NaN are left out, and windows across ``breaks`` [s], where the residual starts anew.
     """
     jumps, drifts = list[Step](), list[Step]()
     for axis in range(residual.value.shape[1]):
         rows = np.flatnonzero(np.isfinite(residual.value[:, axis]))
         rows = rows[:: max(1, int(residual.rate * JUMP / ENOUGH))]
         time, least = residual.time[rows], smallest[rows]
-        steps, rest = _begins(STEP, time, residual.value[rows, axis], watched[rows], least)
-        ramps, _ = _begins(RAMP, time, rest, watched[rows], least)
+        steps, rest = _begins(STEP, time, residual.value[rows, axis], watched[rows], least, breaks)
+        ramps, _ = _begins(RAMP, time, rest, watched[rows], least, breaks)
         jumps += [each._replace(axis=axis) for each in join_ends(steps, JUMP)]
         drifts += [each._replace(axis=axis) for each in join_ends(ramps, DRIFT)]
     return sorted(jumps, key=lambda step: step.onset), sorted(drifts, key=lambda step: step.onset)
 
 
 def _begins(
-    shape: Shape, time: Floats, values: Floats, watched: Mask, smallest: Floats
+    shape: Shape, time: Floats, values: Floats, watched: Mask, smallest: Floats, breaks: Floats
 ) -> tuple[list[Step], Floats]:
     """Find what begins in one element (n,), in the order of time; return what is left of it, too."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else shape.window
@@ -74,8 +77,9 @@ def _begins(
     if len(time) < 4 * reach:
         return [], values
     centres = np.arange(reach, len(time) - reach + stride)
-    spans = time[centres + reach - stride] - time[centres - reach]
-    centres = centres[watched[centres] & (spans < SPREAD * 2.0 * reach * period)]
+    first, last = time[centres - reach], time[centres + reach - stride]
+    whole = np.searchsorted(breaks, first, "right") == np.searchsorted(breaks, last, "right")
+    centres = centres[watched[centres] & (last - first < SPREAD * 2.0 * reach * period) & whole]
     if not len(centres):
         return [], values
     rows = centres[:, None] + stride * np.arange(-side, side)

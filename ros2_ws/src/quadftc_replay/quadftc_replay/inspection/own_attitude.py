@@ -16,12 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from vqf import VQF
 
-from quadftc_replay.flight_log import Signal
+from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.attitude import ANGLES, LONG, Creep, Owner
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.identification import bin_means
+from quadftc_replay.inspection.readings import pauses_of
 from quadftc_replay.inspection.whitening import Floats
 
 RATE = 250.0  # Hz; at most
@@ -51,12 +52,18 @@ def _run(time: Floats, rates: Floats, forces: Floats) -> OwnEstimate:
     return OwnEstimate(Signal(time, np.asarray(said["bias"], np.float64)), rates, forces)
 
 
-def estimate(gyro: Signal, accelerometer: Signal) -> OwnEstimate | None:
-    """Run the filter over a gyro and an accelerometer; None if they are too slow or too short."""
+def estimate(log: FlightLog, gyro: Signal, accelerometer: Signal) -> OwnEstimate | None:
+    """Run the filter over a gyro and an accelerometer of a log; None if they are too slow or too short.
+
+    Of a log with pauses the longest stretch without one is used.
+    """
     rate = min(gyro.rate, accelerometer.rate, RATE)
     if rate < SLOWEST:
         return None
     start, end = (pick(gyro.time[k], accelerometer.time[k]) for pick, k in ((max, 0), (min, -1)))
+    pauses = pauses_of(log)
+    begins, ends = [start, *(each.end for each in pauses)], [*(each.start for each in pauses), end]
+    start, end = max(zip(begins, ends, strict=True), key=lambda each: each[1] - each[0])
     if end - start < SHORTEST:
         return None
     edges = np.arange(start, end, 1.0 / rate)

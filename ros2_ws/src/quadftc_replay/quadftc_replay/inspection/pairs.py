@@ -18,6 +18,7 @@ import numpy as np
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.attitude import Creep, Owner, stretches
+from quadftc_replay.inspection.compass import robust_fit
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.steps import LIMITS
 from quadftc_replay.inspection.whitening import GAP, TO_SIGMA, Floats, Mask
@@ -62,6 +63,8 @@ def partings(
             a, b, difference = differ(sensors[name], sensors[other])
             if len(difference) < 4 * FEWEST:
                 continue
+            if kind == "accelerometer":
+                difference = _without_lever(flight, difference)
             watched = ~flight.near_impact(difference.time) & (difference.time < flight.until)
             for which, start, end in ignored:
                 if which in (name, other):
@@ -69,6 +72,25 @@ def partings(
             level = np.maximum(abs(a.value), abs(b.value))
             for axis in range(3):
                 yield from _along(kind, (name, other), axis, difference, level, watched)
+
+
+def _without_lever(flight: Flight, difference: Signal) -> Signal:
+    """Take out what two accelerometers differ by as they are not at one place: w x (w x d) + dw/dt x d."""
+    if flight.gyro is None:
+        return difference
+    time, value = difference
+    rates = np.nan_to_num(flight.gyro[1].at(time))
+    turning = _cross(np.gradient(rates, time, axis=0)) + _cross(rates) @ _cross(rates)
+    constant = np.broadcast_to(np.eye(3), turning.shape)
+    found, _ = robust_fit(np.concatenate([turning, constant], axis=2).reshape(-1, 6), value.ravel())
+    return Signal(time, value - turning @ found[:3])
+
+
+def _cross(values: Floats) -> Floats:
+    """Matrices (n, 3, 3) that multiply as the vectors (n, 3) do in a cross product."""
+    x, y, z = values.T
+    none = np.zeros(len(values))
+    return np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3)
 
 
 def _along(

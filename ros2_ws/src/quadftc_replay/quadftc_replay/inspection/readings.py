@@ -8,7 +8,7 @@ from math import comb
 import numpy as np
 from scipy import ndimage
 
-from quadftc_replay.flight_log import Signal
+from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, Interval
 from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.verdict import show
@@ -128,6 +128,18 @@ def absent_intervals(flight: Flight, sensor: Signal, others: Signal | None) -> l
         if inside.any() or _goes_on(others, gap):
             found.append(gap)
     return found
+
+
+def pauses_of(log: FlightLog) -> list[Interval]:
+    """Stretches without a sample of anything fast: how the vehicle moved, and how long, nobody knows."""
+    named = log.attitude, log.body_rate, log.rotor_commands
+    fast = [*log.gyros.values(), *log.accelerometers.values(), *(each for each in named if each is not None)]
+    fast = [each for each in fast if len(each) > 1]
+    if not fast:
+        return []
+    times = np.unique(np.concatenate([each.time for each in fast]))
+    gaps = np.flatnonzero(np.diff(times) > max(ABSENT, LONGER / max(each.rate for each in fast)))
+    return [Interval(float(times[row]), float(times[row + 1])) for row in gaps]
 
 
 def _lost_by_chance(times: Floats) -> float:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.inspection.flight import Flight, prepare, row_means
+from quadftc_replay.inspection.flight import Flight, Interval, prepare, row_means
 from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, make_found
 from quadftc_replay.inspection.identification import STANDS, Identified, identify
 from quadftc_replay.inspection.rotor_step import LEVEL as STEP_LEVEL
@@ -159,7 +159,7 @@ def _standing(flight: Flight) -> Iterator[Found]:
             least = STANDS_FOR if asked is not None and not is_asked else STOPS_FOR
             if end - start < max(least, 1.5 / sensor.rate):
                 continue
-            if _flies_on(flight, onset):
+            if _flies_on(flight, Interval(onset - 1.0 / sensor.rate, onset)):
                 if not is_asked:  # else it slows down as it is told
                     yield _speed_absent(sensor, rotor, onset, end)
                 break
@@ -186,18 +186,22 @@ def _standing(flight: Flight) -> Iterator[Found]:
             break
 
 
-def _flies_on(flight: Flight, onset: float) -> bool:
-    """Whether the vehicle goes on to turn as it did before a moment [s]: then no rotor has stopped."""
+def _flies_on(flight: Flight, moment: Interval) -> bool:
+    """Whether a vehicle turns, at each moment of a span, as it did before: then no rotor has stopped."""
     if flight.gyro is None:
         return False
     time = flight.gyro[1].time
     rates = Signal(time, np.nan_to_num(flight.gyro[1].value[:, :2]))
-    flying = time[flight.in_flight(time) & (time < onset)]
-    if len(flying) < 20 or onset + TURNS_IN > float(time[-1]):
+    flying = time[flight.in_flight(time) & (time < moment.start)]
+    if len(flying) < 20 or moment.end + TURNS_IN > float(time[-1]):
         return False
-    moments = np.append(np.arange(flying[0], onset - TURNS_IN, 0.5 * TURNS_IN), onset)
-    changes = np.linalg.norm(rates.at(moments + TURNS_IN) - rates.at(moments), axis=1)
-    return len(changes) > 4 and bool(changes[-1] <= changes[:-1].max())
+    step = 0.5 * TURNS_IN
+    usual, then = (np.arange(*span, step) for span in ((flying[0], moment.start - TURNS_IN), moment))
+    usual, then = (
+        np.linalg.norm(rates.at(at + TURNS_IN) - rates.at(at), axis=1)
+        for at in (usual, np.append(then, moment.end))
+    )
+    return len(usual) > 3 and bool(then.max() <= usual.max())
 
 
 def _speed_absent(sensor: Signal, rotor: int, onset: float, end: float) -> Found:
