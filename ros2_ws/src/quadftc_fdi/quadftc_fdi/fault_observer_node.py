@@ -192,14 +192,14 @@ class FaultObserverNode(GraphNode):
             self._introduce()
         if self._diagnosis.replaced > replaced:
             self.diagnostics.count("the estimate was unusable: the observer restarts")
-        self._watch_input(sample, estimate)
+        self._watch_input(sample)
         self._estimate = estimate
         self._watch_alarms(estimate)
         self.sampled(stamp_ns)
 
-    def _watch_input(self, sample: ImuSample, estimate: FaultEstimate) -> None:
+    def _watch_input(self, sample: ImuSample) -> None:
         """Count what is absent or unusable, and report a driver that gives no attitude."""
-        if not estimate.corrected.rate_valid:
+        if not samples.has_rate(sample):
             self.diagnostics.count("imu/data: body rate absent or unusable")
         if not samples.has_attitude(sample):
             self.diagnostics.count("imu/data: attitude absent or unusable")

@@ -219,6 +219,47 @@ def test_a_wrong_inertia_accuses_nobody(share):
     assert alarms(said_of(flight._replace(torque=share * flight.torque))) == (set(), set())
 
 
+def slower(flight, every=8):
+    """The same flight with an attitude at each eighth sample only."""
+    there = np.arange(ROWS) % every == 0
+    told = np.where(there[:, None], flight.imu.q_xyzw, [0.0, 0.0, 0.0, 1.0])
+    return with_imu(flight, q_xyzw=told, attitude_valid=there)
+
+
+@pytest.mark.parametrize(("sensor", "size"), [("gyro", 0.3), ("gyro", -0.1), ("attitude", 3.0 * DEG)])
+def test_an_attitude_slower_than_the_gyro_is_there_and_its_faults_are_named(sensor, size):
+    assert alarms(said_of(slower(hovering()))) == (set(), set())
+    said = said_of(slower(with_fault(sensor, size * ON[:, None] * np.eye(3)[0])))
+    assert alarms(said)[0] == {(sensor, 0)}
+    assert np.isin(said[sensor].state, ALARMS)[FIRST + 25 :, 0].all()
+
+
+def test_a_slower_attitude_is_absent_once_several_readings_have_not_come():
+    flight = slower(hovering())
+    said = said_of(with_imu(flight, attitude_valid=flight.imu.attitude_valid & ~ON))["attitude"]
+    assert not np.isin(said.state[: FIRST + 16], ALARMS).any()
+    assert np.all(said.kind[FIRST + 32 :] == ABSENT)
+
+
+def test_a_smooth_attitude_at_rest_is_not_stuck():
+    """That of an estimator before take-off: its changes are far below what is known of its noise at first."""
+    rng, there = np.random.default_rng(2), np.ones(ROWS, bool)
+    told = quaternion_from_euler(5e-6 * rng.standard_normal((ROWS, 3)).cumsum(axis=0))
+    imu = hovering().imu._replace(q_xyzw=told, body_rate=0.001 * rng.standard_normal((ROWS, 3)))
+    said = said_of(FaultObserverInputs(imu, np.zeros((ROWS, 3)), driven=there))["attitude"]
+    assert not np.isin(said.state, ALARMS).any()
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_the_rate_that_is_flown_is_good_without_a_gyro_or_an_attitude(sensor):
+    there = {"gyro": "rate_valid", "attitude": "attitude_valid"}[sensor]
+    flight = with_imu(hovering(3, (0.0, 6.0, 0.0)), **{there: ~ON})
+    corrected = fly_arrays(BankObserver(vehicle=QBALL), flight, DT)[1].corrected
+    assert corrected.rate_valid.all()
+    assert corrected.attitude_valid.all()
+    assert np.max(abs(corrected.body_rate - hovering(3, (0.0, 6.0, 0.0)).imu.body_rate)[FIRST:]) < 0.6
+
+
 def test_a_constant_that_dithers_below_the_noise_is_stuck():
     read, dither = hovering().imu.body_rate, 2e-6 * np.random.default_rng(1).integers(2, size=(ROWS, 3))
     said = said_of(with_imu(hovering(), body_rate=np.where(ON[:, None], read[FIRST] + dither, read)))

@@ -27,6 +27,7 @@ from quadftc_model.arrays import (
     Quaternion,
     Scalar,
     Vector,
+    any_of,
     clip,
     column,
     larger,
@@ -130,7 +131,7 @@ def learn(
     turning = 0.5 * (gyro + last_gyro) * step
     age, older = state.age + dt, state.older + dt
     turned, at_anchor = state.turned + known * step, turn(state.q_xyzw, turning)
-    full, fuller = age >= LONG, older >= LONGER
+    full, fuller = age >= LONG, (older >= LONGER) & any_of(good_attitude)[..., 0]
     moved = gyro - last_gyro - known * step
     square = smaller((moved - state.moved) ** 2, TIGHT * larger(state.lately, state.gyro.near))
     lately = state.lately + smaller(step / LONG, 1.0) * heard * (square - state.lately)

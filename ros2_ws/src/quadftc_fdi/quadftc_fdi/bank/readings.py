@@ -1,11 +1,14 @@
-"""Readings that are absent or repeated: rules, as no model of the motion has a say in that."""
+"""Readings that are absent or repeated: rules, as no model of the motion has a say in that.
+
+A sensor may be slower than the gyro. It is absent when several readings in a row have not come.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.bank.noise import MEMORY, SEVERAL
+from quadftc_fdi.bank.noise import MEMORY, NEWS, PRIOR, SEVERAL, SMALL
 from quadftc_model.arrays import (
     Flag,
     Mask,
@@ -36,9 +39,10 @@ class Readings(NamedTuple):
     last: Vector
     repeats: Vector  # how often that was repeated
     chance: Vector  # share of repeated readings, learned
-    missing: Vector  # samples without a reading, in a row
+    missed: Vector  # how many have not come since the last
+    gap: Vector  # usual time between two [s]
     grain: Vector  # smallest change from reading to reading so far
-    seen: Mask  # there has been one
+    learned: Vector  # for how long there have been some [s]
     absent: Vector  # for how long it counts as absent still [s]
     stuck: Vector  # the same of stuck [s]
     silence: Vector  # for how long there has been no new reading [s]
@@ -47,32 +51,41 @@ class Readings(NamedTuple):
 def start_readings(reading: Vector) -> Readings:
     """Start at a reading."""
     zeros = namespace(reading).zeros_like(reading)
-    return Readings(reading, zeros, zeros + CHANCE, zeros, zeros + UNUSABLE, zeros > 0.0, zeros, zeros, zeros)
+    often, slow, any_change = zeros + CHANCE, zeros + BACK / SEVERAL, zeros + UNUSABLE
+    return Readings(reading, zeros, often, zeros, slow, any_change, zeros, zeros, zeros, zeros)
 
 
 def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, dt: Scalar) -> Readings:
     """Take a reading, if one is ``there``; ``usual`` is the mean square of its changes."""
     present = column(there)
+    missed = state.missed + smaller(dt / state.gap, 1.0)
+    gone = was_there(state) & ~present & (missed > SEVERAL - 0.5)
+    took = smaller(missed, SEVERAL) * state.gap
     change = abs(reading - state.last)
     same = present & (change <= SAME * sqrt(usual))
-    learns = (dt / MEMORY) * (present & (state.repeats < SEVERAL))
+    learns = (took / MEMORY) * (present & (state.repeats < SEVERAL))
     new = present & ~same
-    by_grain = smaller(COARSE * state.grain / sqrt(usual), LIKELY)
+    by_grain = smaller(COARSE * state.grain / sqrt(usual + SMALL), LIKELY)
     chance = state.chance + learns * (same - state.chance)
     repeats = where(present, (state.repeats + 1.0) * same, state.repeats)
-    missing, seen = (state.missing + 1.0) * ~present, state.seen | present
     repeated = repeats * log(clip(larger(chance, by_grain), CHANCE**2, LIKELY)) < RARE
     return Readings(
         last=where(new, reading, state.last),
         repeats=repeats,
         chance=chance,
-        missing=missing,
-        grain=where(new, smaller(state.grain, change), state.grain),
-        seen=seen,
-        absent=where(seen & (missing >= SEVERAL), BACK, larger(state.absent - dt, 0.0)),
+        missed=missed * ~present,
+        gap=state.gap + smaller(NEWS * took / (PRIOR + state.learned), 1.0) * (took - state.gap) * present,
+        grain=where(new & (usual > 0.0), smaller(state.grain, change), state.grain),
+        learned=smaller(state.learned + took * present, MEMORY),
+        absent=where(gone, BACK, larger(state.absent - dt, 0.0)),
         stuck=where(repeated, BACK, larger(state.stuck - dt, 0.0)),
         silence=(state.silence + dt) * ((state.absent > 0.0) | (state.stuck > 0.0) | ~new),
     )
+
+
+def was_there(state: Readings) -> Mask:
+    """Whether there has been a reading."""
+    return state.learned > 0.0
 
 
 def is_stuck(state: Readings) -> Mask:
@@ -83,3 +96,8 @@ def is_stuck(state: Readings) -> Mask:
 def is_absent(state: Readings) -> Mask:
     """Whether there are no readings any more, or were none of late."""
     return state.absent > 0.0
+
+
+def is_witness(state: Readings) -> Mask:
+    """Whether what is read tells of the motion, at this sample or soon again."""
+    return was_there(state) & ~is_stuck(state) & ((state.missed <= 0.0) | ~is_absent(state))

@@ -42,7 +42,7 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
-from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn, wrap
 from quadftc_model.samples import (
     FAULT_KINDS,
     FaultEstimate,
@@ -67,7 +67,7 @@ class State(NamedTuple):
     rates_read: Readings  # of the gyro [rad/s]
     worth: Array  # log weight of the hypotheses (..., modes, slots)
     rate: Vector  # reading of the gyro at the last sample [rad/s]
-    q_xyzw: Quaternion  # attitude read at the last sample
+    q_xyzw: Quaternion  # attitude at the last sample: as read, else turned with the gyro since
     torque: Vector  # behind its lag [N m]
     translation: Translation
 
@@ -132,7 +132,9 @@ class BankObserver(FlightLaw):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to a sample."""
         imu, levels = inputs.imu, noise.noise_of(state.learning)
-        attitude_read, gyro_read, good_attitude, good_gyro = self._read(state, imu, dt)
+        attitude_read, gyro_read = self._read(state, imu, dt)
+        speaks = readings.is_witness(attitude_read) & ~state.attitude.faulty, readings.is_witness(gyro_read)
+        good_attitude, good_gyro = speaks[0] & column(imu.attitude_valid), speaks[1] & column(imu.rate_valid)
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
         beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
         moved, known, torque = self._predict(state, inputs, read, turning, levels, dt)
@@ -141,15 +143,15 @@ class BankObserver(FlightLaw):
         bank = inference.disregard(bank, readings.is_stuck(attitude_read), readings.is_stuck(gyro_read))
         # believe
         failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude)])
-        witnesses = good_attitude, good_gyro & ~state.gyro.faulty, column(inputs.driven)
-        posterior = inference.believe(bank, good_attitude & column(inputs.driven), failing)
+        witnesses = speaks[0], speaks[1] & ~state.gyro.faulty, column(inputs.driven)
+        posterior = inference.believe(bank, speaks[0] & column(inputs.driven), failing)
         shares, p, doubt = _probabilities(posterior)
         aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
         named = self._named(p, doubt, aged, *witnesses)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
-            lambda: trust.take_over(moved, bank, posterior, named, added, ~good_attitude),
+            lambda: trust.take_over(moved, bank, posterior, named, added, ~speaks[0]),
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
         attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), _of_gyro(1.0 * named) > 0.0
@@ -164,6 +166,7 @@ class BankObserver(FlightLaw):
         usual, louder = state.motion.bias, noise.louder(state.learning)
         gyro = trust.watch_gyro(before[1], gyro, age, believed, usual, louder, dt)
         # learn
+        turned = turn(state.q_xyzw, 0.5 * (read + state.rate) * column(dt))
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
         moves = read, state.rate, known, imu.q_xyzw, state.q_xyzw
         learning = noise.learn(state.learning, *moves, *well, good_gyro, dt)
@@ -177,7 +180,7 @@ class BankObserver(FlightLaw):
             rates_read=gyro_read,
             worth=posterior.log_weight,
             rate=read,
-            q_xyzw=where(column(there), imu.q_xyzw, state.q_xyzw),
+            q_xyzw=where(column(there), imu.q_xyzw, turned),
             torque=torque,
             translation=beside,
         )
@@ -230,14 +233,15 @@ class BankObserver(FlightLaw):
         inertia, rate = self.vehicle.inertia, clip(rate, -samples.MAX_BODY_RATE, samples.MAX_BODY_RATE)
         return gyroscopic_acceleration(inertia, rate) - self.vehicle.rotational_drag * rate / inertia
 
-    def _read(self, state: State, imu: ImuSample, dt: float) -> tuple[Readings, Readings, Mask, Mask]:
-        """Take readings of attitude and gyro; also return which of them can be used."""
-        changes = state.learning.attitude.near, state.learning.gyro.near
+    def _read(self, state: State, imu: ImuSample, dt: float) -> tuple[Readings, Readings]:
+        """Take readings of attitude and gyro."""
+        # what is not known yet is nothing: only what is the very same is a repeated reading
+        learned = state.learning.attitude, state.learning.gyro
+        changes = [where(each.time > inference.SETTLE, each.near, 0.0) for each in learned]
         angles = euler_from_quaternion(imu.q_xyzw)
         attitude = readings.take_reading(state.angles_read, angles, imu.attitude_valid, changes[0], dt)
         gyro = readings.take_reading(state.rates_read, imu.body_rate, imu.rate_valid, changes[1], dt)
-        good = column(imu.attitude_valid) & ~readings.is_stuck(attitude) & ~state.attitude.faulty
-        return attitude, gyro, good, column(imu.rate_valid) & ~readings.is_stuck(gyro)
+        return attitude, gyro
 
     def _predict(
         self,
@@ -304,7 +308,7 @@ class BankObserver(FlightLaw):
             q_xyzw=flown.q_xyzw,
             body_rate=flown.rate,
             attitude_valid=imu.attitude_valid | True,
-            rate_valid=imu.rate_valid,
+            rate_valid=imu.rate_valid | True,
         )
         return state._replace(translation=beside), FaultEstimate(
             by_attitude.size,
@@ -324,7 +328,7 @@ class BankObserver(FlightLaw):
         ambiguous = unsure & (seen.mine > 1.0 - self.level) & ~certain
         declared = certain | ambiguous
         suspect = where(seen.mine > 0.5, samples.SUSPECT, samples.HEALTHY)
-        suspect = where(read.seen, suspect, samples.STARTING)
+        suspect = where(readings.was_there(read), suspect, samples.STARTING)
         faulty = where(state.calm > 0.0, samples.RECOVERING, samples.FAULTY)
         kind = where(absent, ABSENT, where(stuck, STUCK, OFFSET))
         age = where(state.faulty, state.age, where(stuck | absent, read.silence, 0.0))
