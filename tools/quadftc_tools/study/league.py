@@ -22,9 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadftc_cli.screen import say
-from quadftc_fdi.fault_observer import FaultObserver, fault_observers
+from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
-from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.diagnose import diagnose
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.imu_from_log import recording_of
@@ -33,7 +32,7 @@ from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.overlay import faults_from
-from quadftc_replay.plan import FROM_GYRO
+from quadftc_replay.plan import choose_observer
 from quadftc_tools.study.numbers import poisson_interval, write_number
 from quadftc_tools.study.page import NOTHING, markdown, run_study
 
@@ -141,14 +140,13 @@ def judge_offline(log: FlightLog) -> list[Named]:
     return [Named(each.component, each.element, each.onset_s) for each in found]
 
 
-def judge_by(observer: type[FaultObserver]) -> Judge:
-    """A fault observer, sample by sample; what is ambiguous does not count."""
+def judge_by(observer: str) -> Judge:
+    """A fault observer by its name, sample by sample; what is ambiguous does not count."""
 
     def judge(log: FlightLog) -> list[Named]:
         recording = recording_of(log, next(iter(log.gyros)))
         begin = float(next(iter(log.gyros.values())).time[0])
-        known = {FROM_GYRO: True} if recording.attitude_from_gyro and hasattr(observer, FROM_GYRO) else {}
-        law = observer(vehicle=load_vehicle(log.vehicle or VEHICLE), **known)
+        law = choose_observer(recording, observer, log.vehicle or VEHICLE).law
         named: list[Named] = []
         named_before: set[tuple[str, str]] = set()
         for report in diagnose(recording, law).reports:
@@ -242,7 +240,7 @@ def make(data: Path) -> dict[str, str]:
     groups = read_healthy(data)
     judges: dict[str, Judge] = {"diagnose": judge_offline}
     for name in sorted(name for name in fault_observers.names() if fault_observers.get(name).has_detector):
-        judges[name] = judge_by(fault_observers.get(name))
+        judges[name] = judge_by(name)
     of_healthy, of_faults = list[list[str]](), list[list[str]]()
     for who, judge in judges.items():
         is_offline = judge is judge_offline

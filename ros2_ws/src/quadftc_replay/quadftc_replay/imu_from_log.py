@@ -65,7 +65,9 @@ def recording_of(log: FlightLog, topic: str = "") -> Recording:
         imu=samples,
         torque=torque,
         torque_topic="torque command" if is_torque else None,
+        torque_is_command=is_torque,
         attitude_from_gyro=bool(log.attitude_from_gyro),
+        vehicle=log.vehicle,
         warnings=(*(f"{path}: {note}" for note in log.notes), *absences),
     )
 

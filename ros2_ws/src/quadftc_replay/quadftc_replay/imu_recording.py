@@ -43,7 +43,9 @@ class Recording:
     imu: ImuSample  # leading axis n; what cannot be used is marked as absent
     torque: Floats  # (n, 3) that acted since the sample before [N m]; zero where none was recorded
     torque_topic: str | None = None
+    torque_is_command: bool = False  # of real rotors, which follow it by their lag
     attitude_from_gyro: bool = False  # the attitude is computed from this gyro
+    vehicle: str = ""  # name of its file, if the recording tells it
     # channel to the recorded true fault (n, 3); NaN where it is unknown, no entry where it is not recorded
     faults: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
     fault_windows: tuple[FaultWindow, ...] = ()  # when the attitude is faulty by what was recorded

@@ -16,6 +16,7 @@ from quadftc_flight.checks import check_results, problem_of
 from quadftc_flight.metrics import flight_of_nothing
 from quadftc_flight.scenario import Check, Fault, parse_value
 from quadftc_model.assembly import get, node_values
+from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_from_log import recording_from_log
@@ -27,7 +28,7 @@ from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_met
 BAGS = (".mcap", ".db3", ".bag")
 DEFAULT_OBSERVER = "supervised"
 DEFAULT_VEHICLE = "qball_x4"
-FROM_GYRO = "attitude_from_gyro"  # parameter of an observer to which it matters
+FROM_GYRO, LAG = "attitude_from_gyro", "rotor_lag"  # parameters of observers to which they matter
 PREFIX = "observer."  # of a parameter that is set
 
 
@@ -170,12 +171,16 @@ def choose_observer(
     """Build the fault observer: that asked for, with its defaults, or that of the recording.
 
     ``vehicle`` is a name or the path of a TOML file, a setting ``observer.<parameter>=value``. What neither
-    caller nor recording says is `DEFAULT_OBSERVER`, `DEFAULT_VEHICLE`.
+    caller nor recording says is `DEFAULT_OBSERVER`, `DEFAULT_VEHICLE`. Real rotors follow a logged command by
+    the lag of the vehicle's file.
     """
     if recording.observer is None and not name:
         raise BagError(f"{recording.path}: parameters.yaml makes no sense; choose with --observer")
     recorded: Mapping[str, object] = recording.observer or {}
-    parameters: dict[str, object] = {"vehicle": DEFAULT_VEHICLE, "observer": DEFAULT_OBSERVER}
+    parameters: dict[str, object] = {
+        "vehicle": recording.vehicle or DEFAULT_VEHICLE,
+        "observer": DEFAULT_OBSERVER,
+    }
     parameters |= {key: recorded[key] for key in parameters if key in recorded}
     kind = name or get(parameters, "observer", str)
     parameters["observer"] = kind
@@ -183,6 +188,8 @@ def choose_observer(
         parameters["vehicle"] = str(Path(vehicle).resolve()) if vehicle.endswith(".toml") else vehicle
     if recording.attitude_from_gyro and hasattr(fault_observers.get(kind), FROM_GYRO):
         parameters[f"{kind}.{FROM_GYRO}"] = True
+    if recording.torque_is_command and hasattr(fault_observers.get(kind), LAG):
+        parameters[f"{kind}.{LAG}"] = load_vehicle(get(parameters, "vehicle", str)).rotors.time_constant
     if not name:
         parameters |= {key: value for key, value in recorded.items() if key.startswith(f"{kind}.")}
     for setting in settings:

@@ -10,6 +10,7 @@ import pytest
 
 from quadftc_bags.bag import BagError
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
+from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.imu_from_log import recording_from_log, recording_of
 from quadftc_replay.plan import ReplayOptions, plan_replay
@@ -87,6 +88,18 @@ def test_gyro_drives_and_the_others_belong_to_its_samples(path, choice):
     np.testing.assert_allclose(euler_from_quaternion(recording.imu.q_xyzw[rows]), expected, atol=1e-9)
     np.testing.assert_allclose(recording.imu.specific_force[3], [0.0, 0.0, 9.80665])
     np.testing.assert_allclose(recording.torque[:4, 0], [0.0, 0.0, 0.001, 0.002])
+
+
+def test_vehicle_of_a_log_and_the_lag_of_its_rotors_reach_the_observer(path, choice):
+    choice.mapping.write_text('vehicle = "crazyflie_2x"\n' + MAPPING)
+    parameters = plan_replay(path, ReplayOptions(observer="bank", choice=choice)).observer.parameters
+    assert parameters["vehicle"] == "crazyflie_2x"
+    assert parameters["bank.rotor_lag"] == load_vehicle("crazyflie_2x").rotors.time_constant
+    asked = ReplayOptions(
+        observer="bank", vehicle="x500", settings=("observer.rotor_lag=0.0",), choice=choice
+    )
+    parameters = plan_replay(path, asked).observer.parameters
+    assert (parameters["vehicle"], parameters["bank.rotor_lag"]) == ("x500", 0.0)
 
 
 def test_packed_log_is_replayed_with_an_overlaid_fault(path, choice):
