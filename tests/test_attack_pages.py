@@ -57,7 +57,7 @@ def serving(folder: Path):
     """Start ``quadftc serve``; yields its address without the token, and the token."""
     with subprocess.Popen([sys.executable, "-c", RUN, folder], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        base, token = re.findall(r"(http[^;?]+)/\?token=([^;]+)", process.stdout.readline())[0]
+        base, token = re.findall(r"(http\S+)/\?token=(\S+)$", process.stdout.readline())[0]
         yield base, token
         process.terminate()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import socket
 import stat
 import subprocess
@@ -70,7 +69,7 @@ def serve(home: Path, port: int) -> Iterator[tuple[str, int]]:
     command = [sys.executable, "-c", RUN, home / "served", str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=home, umask=0) as process:
         assert process.stdout is not None
-        yield re.findall(r"http[^;]+", process.stdout.readline())[0], process.pid
+        yield process.stdout.readline().split()[-1], process.pid
         process.terminate()
 
 

@@ -120,6 +120,13 @@ def test_wrong_bag_among_good_ones_is_one_line_and_leaves_the_old_report(
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_report_of_a_campaign_is_pointed_to(tmp_path: Path):
+    (tmp_path / "campaign.json").write_text("{}", encoding="utf-8")
+    done = report(tmp_path, "--out", tmp_path / "out.html")
+    assert done.returncode == 2
+    assert f"{tmp_path}: a campaign, whose report is {tmp_path}/report.html; " in done.stderr
+
+
 def test_command_starts_without_the_libraries_that_draw():
     code = "import sys, quadftc_cli.main; print(*{'plotly', 'matplotlib', 'jinja2'} & set(sys.modules))"
     done = subprocess.run(

@@ -39,7 +39,7 @@ def address(folder) -> Iterator[str]:
     process = subprocess.Popen([sys.executable, "-c", RUN, folder], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     line = process.stdout.readline()
-    yield next(word for word in line.split() if word.startswith("http")).rstrip(";")
+    yield line.split()[-1]
     process.terminate()
     process.wait(10)
     process.stdout.close()

@@ -229,6 +229,8 @@ def _runs_at(path: Path) -> list[Path]:
         runs = [entry for entry in sorted(path.iterdir()) if entry.is_dir() and _is_run(entry)]
     except OSError as error:
         raise BagError(f"{path}: {error.strerror}") from None
+    if not runs and (path / "campaign.json").is_file():
+        raise BagError(f"{path}: a campaign, whose report is {path / 'report.html'}; expected runs")
     if not runs:
         raise BagError(
             f"{path}: no run in this directory; expected metadata.yaml and an .mcap file, here or one below"

@@ -84,6 +84,6 @@ def serve(folder: Path, port: int, at_a_time: int, largest: int, *, opens: bool 
         address = address_of(listener, token)
         browser = browser_at(address, folder) if opens else None
         app = make_app(Jobs(folder, at_a_time, largest), token, browser)
-        print(f"serving {folder} on {address}; end with Ctrl-C", flush=True)  # noqa: T201
+        print(f"page:   {address}\nlogs:   {folder}; Ctrl-C ends it", flush=True)  # noqa: T201
         with contextlib.suppress(KeyboardInterrupt):
             server_of(app).run(sockets=[listener])
