@@ -26,6 +26,42 @@ Options = dict[str, object]  # of an axis, as ECharts takes them
 Line = tuple[str, str, int, bool]  # name, colour, column, by axis
 Chart = tuple[str, str, list[Line], Options]
 
+OF_ATTITUDE: list[Line] = [
+    ("reference", REFERENCE, REFERENCE_AT, True),
+    ("measured", MEASURED, MEASURED_AT, True),
+    ("truth", TRUTH, TRUTH_AT, True),
+    ("corrected", CORRECTED, CORRECTED_AT, True),
+]
+OF_FAULT: list[Line] = [
+    ("low", "transparent", LOW_AT, True),
+    ("±2σ", BAND, BAND_AT, True),
+    ("injected", INJECTED, INJECTED_AT, True),
+    ("estimate", CORRECTED, ESTIMATE_AT, True),
+]
+OF_RATE: list[Line] = [
+    ("gyro", MEASURED, GYRO_AT, True),
+    ("truth", TRUTH, RATE_AT, True),
+    ("corrected", CORRECTED, CORRECTED_RATE_AT, True),
+]
+SMALL = {"fontSize": 11, "color": "#5b626c"}
+HEADING = {"fontSize": 13, "fontWeight": 500, "color": "#2a2e34", "fontFamily": FONT}
+KEY = {"itemWidth": 14, "itemHeight": 8, "icon": "roundRect"}
+AXIS: Options = {
+    "type": "value",
+    "axisTick": {"show": False},
+    "splitLine": {"lineStyle": {"color": "#eef0f3"}},
+}
+TIME: Options = {
+    "min": -WINDOW,
+    "max": 0,
+    "interval": 10,
+    "axisLabel": {**SMALL, "formatter": "{value} s"},
+    "axisLine": {"onZero": False, "lineStyle": {"color": "#c9ced6"}},
+}
+VALUE: Options = {"scale": True, "splitNumber": 3, "axisLine": {"show": False}, "axisLabel": SMALL}
+# a narrow chart has its legend below the title
+NARROW = {"legend": {"left": 4, "top": 22, "right": None}, "grid": {"top": 48}}
+
 
 class StripCharts(ui.element, component="charts.js"):
     """Charts of an axis that can be chosen; draws them some 10 times a second."""
@@ -58,57 +94,20 @@ def _short(value: float) -> float | None:
 
 
 def _plan(picture: Picture) -> list[Chart]:
-    """Return of each chart title, unit, lines and options.
-
-    A chart that would stay empty is left out.
-    """
-    plan: list[Chart] = [
-        (
-            "attitude",
-            "deg",
-            [
-                ("reference", REFERENCE, REFERENCE_AT, True),
-                ("measured", MEASURED, MEASURED_AT, True),
-                ("truth", TRUTH, TRUTH_AT, True),
-                ("corrected", CORRECTED, CORRECTED_AT, True),
-            ],
-            {},
-        ),
-        (
-            "attitude fault",
-            "deg",
-            [
-                ("low", "transparent", LOW_AT, True),
-                ("±2σ", BAND, BAND_AT, True),
-                ("injected", INJECTED, INJECTED_AT, True),
-                ("estimate", CORRECTED, ESTIMATE_AT, True),
-            ],
-            {},
-        ),
-        (
-            "body rate",
-            "deg/s",
-            [
-                ("gyro", MEASURED, GYRO_AT, True),
-                ("truth", TRUTH, RATE_AT, True),
-                ("corrected", CORRECTED, CORRECTED_RATE_AT, True),
-            ],
-            {},
-        ),
-    ]
-    if {"fault/status", "fault/injected"} <= picture.silent:
-        del plan[1]
-    if picture.rotors and "rotors/status" not in picture.silent:
+    """Return title, unit, lines and options of the y axis of each chart that will not stay empty."""
+    plan: list[Chart] = [("attitude", "deg", OF_ATTITUDE, {})]
+    if not {"fault/status", "fault/injected"} <= picture.silent:
+        plan.append(("attitude fault", "deg", OF_FAULT, {}))
+    plan.append(("body rate", "deg/s", OF_RATE, {}))
+    if not picture.rotors:
+        return [*plan, ("torque command", "N m", [("torque", CORRECTED, TORQUE_AT, True)], {})]
+    if "rotors/status" not in picture.silent:
         lines = [(f"{k + 1}", ROTORS[k % len(ROTORS)], ROTORS_AT + k, False) for k in range(picture.rotors)]
         plan.append(("rotor effectiveness", "%", lines, {"min": 0, "max": 120, "interval": 40}))
-    if picture.rotors:
-        place = [("reference", REFERENCE, PLACE_REFERENCE_AT), ("vehicle", TRUTH, PLACE_AT)]
-        plan.append(("position", "m", [(*line, True) for line in place], {}))
-        # last, as `charts.js` draws it against another axis
-        plan.append((TOP_VIEW, "m", [(*line, False) for line in place], {}))
-    else:
-        plan.append(("torque command", "N m", [("torque", CORRECTED, TORQUE_AT, True)], {}))
-    return plan
+    place = [("reference", REFERENCE, PLACE_REFERENCE_AT), ("vehicle", TRUTH, PLACE_AT)]
+    plan.append(("position", "m", [(*line, True) for line in place], {}))
+    # last, as `charts.js` draws it against another axis
+    return [*plan, (TOP_VIEW, "m", [(*line, False) for line in place], {})]
 
 
 def _series(name: str, colour: str) -> dict[str, Any]:
@@ -124,53 +123,21 @@ def _series(name: str, colour: str) -> dict[str, Any]:
 def _chart(title: str, unit: str, lines: list[Line], y_axis: Options) -> tuple[ui.echart, list[list[int]]]:
     """Make a chart; return it with the columns of its lines, and whether they are of the chosen axis."""
     series = [_series(name, colour) for name, colour, _, _ in lines]
-    small = {"fontSize": 11, "color": "#5b626c"}
+    names = [name for name, *_ in lines if name != "low"] if len(lines) > 1 else []
+    x_axis, y_axis = {**AXIS, **TIME}, {**AXIS, **VALUE, **y_axis}
+    if title == TOP_VIEW:
+        x_axis = y_axis = {**AXIS, **VALUE, "axisLabel": {**SMALL, **WITHOUT_ENDS}}
+        series[1]["markPoint"] = {"symbol": "circle", "symbolSize": 9, "data": []}
     options = {
         "animation": False,
         "textStyle": {"fontFamily": FONT},
-        "title": {
-            "text": f"{title} [{unit}]",
-            "left": 8,
-            "top": 4,
-            "textStyle": {"fontSize": 13, "fontWeight": 500, "color": "#2a2e34", "fontFamily": FONT},
-        },
-        "legend": {
-            "right": 8,
-            "top": 4,
-            "itemWidth": 14,
-            "itemHeight": 8,
-            "icon": "roundRect",
-            "textStyle": small,
-            "data": [name for name, *_ in lines if name != "low"] if len(lines) > 1 else [],
-        },
+        "title": {"text": f"{title} [{unit}]", "left": 8, "top": 4, "textStyle": HEADING},
+        "legend": {"right": 8, "top": 4, "data": names, "textStyle": SMALL, **KEY},
         "grid": {"left": 46, "right": 16, "top": 30, "bottom": 22},
-        "xAxis": {
-            "type": "value",
-            "min": -WINDOW,
-            "max": 0,
-            "interval": 10,
-            "axisLabel": {**small, "formatter": "{value} s"},
-            "splitLine": {"lineStyle": {"color": "#eef0f3"}},
-            "axisLine": {"onZero": False, "lineStyle": {"color": "#c9ced6"}},
-            "axisTick": {"show": False},
-        },
-        "yAxis": {
-            "type": "value",
-            "scale": True,
-            "splitNumber": 3,
-            "axisLine": {"show": False},
-            "axisTick": {"show": False},
-            "axisLabel": small,
-            "splitLine": {"lineStyle": {"color": "#eef0f3"}},
-            **y_axis,
-        },
+        "xAxis": x_axis,
+        "yAxis": y_axis,
         "series": series,
     }
-    if title == TOP_VIEW:
-        options["yAxis"] = options["xAxis"] = options["yAxis"] | {"axisLabel": {**small, **WITHOUT_ENDS}}
-        series[1]["markPoint"] = {"symbol": "circle", "symbolSize": 9, "data": []}
-    # a narrow chart has its legend below the title
-    narrow = {"legend": {"left": 4, "top": 22, "right": None}, "grid": {"top": 48}}
-    options = {"baseOption": options, "media": [{"query": {"maxWidth": 420}, "option": narrow}]}
+    options = {"baseOption": options, "media": [{"query": {"maxWidth": 420}, "option": NARROW}]}
     element = ui.echart(options).classes("chart").props(f'data-chart="{title}"')
     return element, [[column, by_axis] for _, _, column, by_axis in lines]
