@@ -248,6 +248,15 @@ def test_vehicle_does_not_show_what_the_nodes_of_another_report():
     assert alone.value("driver", "timing", "rate_hz") == "1000"
 
 
+def test_heading_names_the_observer_that_flies_now():
+    picture = Picture(load_vehicle("qball_x4"), "test_stand")
+    begun = "qball_x4, observer isolating, controller ismc"
+    assert picture.parts(begun) == begun
+    told = DiagnosticStatus(name="fault_observer: observer", message="threshold has no states")
+    picture.take(Frame({}, [serialize_message(DiagnosticArray(status=[told]))]))
+    assert picture.parts(begun) == "qball_x4, observer threshold, controller ismc"
+
+
 @pytest.mark.parametrize(
     ("query", "status", "words"),
     [

@@ -133,7 +133,7 @@ class _Page:
                 choice.props('dense borderless options-dense aria-label="vehicle" data-vehicle')
             else:
                 ui.label(self._flown.title).classes("title")
-            ui.label(self._flown.parts).classes("parts")
+            self._shown["parts"] = ui.label(self._flown.parts).classes("parts")
             ui.element("div").classes("space")
             of_plant = ("lost", "speed") if self._flown.simulated else ()
             of_flight = () if self._player else ("time", "rate", *of_plant)
@@ -309,6 +309,7 @@ class _Page:
             self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
             rates = (picture.value(node, "timing", "rate_hz") for node in RATES)
             self._set("rate", f"{next(filter(None, rates), '-')} Hz")
+        self._set("parts", picture.parts(self._flown.parts))
         self._show_angles()
         if self._flown.simulated:
             lost = picture.value("plant", "flight", "without_torque") or "0"

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections import deque
 from collections.abc import Callable
@@ -222,10 +223,18 @@ class Picture:
 
     def value(self, node: str, part: str, key: str) -> str:
         """Return a value that a node reports; empty if it does not."""
-        for name, status in self._statuses.items():
-            if name.endswith(f"{node}: {part}"):  # behind the namespace
-                return next((pair.value for pair in status.values if pair.key == key), "")
-        return ""
+        status = self._status(node, part)
+        return "" if status is None else next((pair.value for pair in status.values if pair.key == key), "")
+
+    def _status(self, node: str, part: str) -> DiagnosticStatus | None:
+        found = (status for name, status in self._statuses.items() if name.endswith(f"{node}: {part}"))
+        return next(found, None)  # behind the namespace
+
+    def parts(self, begun: str) -> str:
+        """Return what flies; ``begun`` is what began, whose observer may have been changed in flight."""
+        status = self._status("fault_observer", "observer")
+        observer = "" if status is None else status.message.partition(" ")[0]
+        return re.sub("(?<=observer )[^,]+", observer, begun) if observer else begun
 
 
 def kind_and_size(fault: ComponentFault) -> str:
