@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +19,7 @@ from quadftc_model.samples import ImuSample
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.assembly import period_ns
 from quadftc_sim.autopilot import AutopilotPhysics, ned_attitude, speeds_of_shares, to_frd, to_ned
-from quadftc_sim.injector import FaultInjector
-from quadftc_sim.simulator import Emission, Simulator
+from quadftc_sim.simulator import Emission
 
 HEADER = struct.Struct("<HHI")  # magic, frame_rate [Hz], frame_count
 CHANNELS = {18458: 16, 29569: 32}  # magic -> numbers of pwm that follow, uint16 [us]
@@ -69,15 +68,7 @@ class ArduPilotPhysics(AutopilotPhysics):
     later says that the answer was lost.
     """
 
-    def __init__(
-        self,
-        make_simulator: Callable[[float], Simulator],
-        make_injector: Callable[[], FaultInjector],
-        rate: float | None = None,
-    ) -> None:
-        """Take the rate [Hz] that SITL shall follow; None: each packet's own."""
-        super().__init__(make_simulator, make_injector)
-        self._frame, self._answered, self._rate = 0, 0.0, rate
+    _frame, _answered = 0, 0.0  # last frame count; when it was answered, on the monotonic clock [s]
 
     def answer(self, data: bytes, sender: object = None) -> bytes | None:
         """Fly one period under the outputs of a packet; return the state; None for no such packet."""

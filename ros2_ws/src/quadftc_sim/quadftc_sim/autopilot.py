@@ -68,11 +68,12 @@ class AutopilotPhysics:
     """Answers an autopilot's packets one by one, and counts what is wrong with them.
 
     ``make_simulator(rate)`` makes a vehicle at a rate [Hz], ``make_injector()`` its faults; both anew when
-    the autopilot restarts. Faults put on before it starts stay.
+    the autopilot restarts. Faults put on before it starts stay. ``rate`` is that of the flight [Hz]; 0: the
+    autopilot says it.
     """
 
-    def __init__(self, make_simulator: MakeSimulator, make_injector: MakeInjector) -> None:
-        self._make_simulator, self._make_injector = make_simulator, make_injector
+    def __init__(self, make_simulator: MakeSimulator, make_injector: MakeInjector, rate: float = 0.0) -> None:
+        self._make_simulator, self._make_injector, self._rate = make_simulator, make_injector, rate
         self._simulator: Simulator | None = None
         self._injector = make_injector()
         self._sample = level_sample()

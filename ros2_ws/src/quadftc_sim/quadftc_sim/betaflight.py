@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
 
 from quadftc_model.samples import ImuSample
 from quadftc_sim.autopilot import AutopilotPhysics, ned_attitude, speeds_of_shares, to_frd
 from quadftc_sim.barometer import standard_pressure
-from quadftc_sim.injector import FaultInjector
-from quadftc_sim.simulator import Emission, Simulator
+from quadftc_sim.simulator import Emission
 
 MOTORS = struct.Struct("<4f")  # shares of the largest speed
 STATE = struct.Struct("<18d")  # time, rate (3), force (3), attitude (4), velocity (3), place (3), pressure
@@ -34,20 +32,12 @@ def read_motors(data: bytes) -> tuple[float, ...]:
 
 
 class BetaflightPhysics(AutopilotPhysics):
-    """The physics behind Betaflight at a rate [Hz].
+    """The physics behind Betaflight.
 
     The firmware answers a state by its motors, as soon as its loop has come round. A new sender is a restart.
     """
 
-    def __init__(
-        self,
-        make_simulator: Callable[[float], Simulator],
-        make_injector: Callable[[], FaultInjector],
-        rate: float,
-    ) -> None:
-        super().__init__(make_simulator, make_injector)
-        self._rate = rate
-        self._sender: object = None
+    _sender: object = None
 
     def state(self) -> bytes:
         """Return the state that the firmware has to answer."""

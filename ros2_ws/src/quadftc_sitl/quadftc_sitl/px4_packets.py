@@ -13,7 +13,6 @@ import math
 import select
 import socket
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,10 +20,17 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_model.arrays import Vector
 from quadftc_model.samples import ImuSample, PositionSample
-from quadftc_sim.autopilot import AutopilotPhysics, speeds_of_shares, to_degrees, to_frd, to_ned
+from quadftc_sim.autopilot import (
+    AutopilotPhysics,
+    MakeInjector,
+    MakeSimulator,
+    speeds_of_shares,
+    to_degrees,
+    to_frd,
+    to_ned,
+)
 from quadftc_sim.barometer import pressure_height, standard_pressure
-from quadftc_sim.injector import FaultInjector
-from quadftc_sim.simulator import Emission, Simulator
+from quadftc_sim.simulator import Emission
 from quadftc_sitl.autopilot import Server
 from quadftc_sitl.firmware import Firmware, SitlError
 
@@ -46,16 +52,11 @@ TICK, AGAIN = 0.004, 0.02
 
 
 class PX4Physics(AutopilotPhysics):
-    """The physics behind PX4 at a rate [Hz]. An empty packet is a sample that PX4 has not answered."""
+    """The physics behind PX4. An empty packet is a sample that PX4 has not answered."""
 
-    def __init__(
-        self,
-        make_simulator: Callable[[float], Simulator],
-        make_injector: Callable[[], FaultInjector],
-        rate: float,
-    ) -> None:
-        super().__init__(make_simulator, make_injector)
-        self._rate, self._commanded, self._stamp = rate, False, 0
+    def __init__(self, make_simulator: MakeSimulator, make_injector: MakeInjector, rate: float) -> None:
+        super().__init__(make_simulator, make_injector, rate)
+        self._commanded, self._stamp = False, 0
         self._mavlink: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=200)
         self._field, self._pressure = np.zeros(3), standard_pressure(HOME[2])
 
