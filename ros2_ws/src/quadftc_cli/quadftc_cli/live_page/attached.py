@@ -50,10 +50,8 @@ def page_of_running(graph: LiveGraph) -> Flown:
 
 def _page_of_autopilot(graph: LiveGraph, name: str) -> Flown:
     """Say what flies where an autopilot does: it takes no setpoints from us."""
-    backend = f"{name.lower()}_backend"
-    (vehicle,) = _values(graph, backend, "vehicle")
-    beside = "fault_observer" if graph.offers(OBSERVER) else backend  # which may have one of its own
-    (observer,) = _values(graph, beside, "observer", missing="none")
+    (vehicle,) = _values(graph, f"{name.lower()}_backend", "vehicle")
+    (observer,) = _values(graph, "fault_observer", "observer") if graph.offers(OBSERVER) else ("none",)
     parts = f"{Path(vehicle).stem}, observer {observer}, flown by {name}"
     return Flown(_title(graph), parts, vehicle, "free_flight", graph.namespace)
 
@@ -95,12 +93,11 @@ def _home(graph: LiveGraph, plant: str) -> tuple[float, ...]:
     return (place.x, place.y, place.z, float(yaw))
 
 
-def _values(graph: LiveGraph, node: str, *names: str, missing: object = None) -> list[Any]:
-    """Return parameters of a node; for one that it does not have ``missing``, or a GraphError."""
+def _values(graph: LiveGraph, node: str, *names: str) -> list[Any]:
+    """Return parameters of a node; a GraphError names one that it does not have."""
     request = GetParameters.Request(names=list(names))
     values = graph.call(f"{node}/get_parameters", GetParameters, request).values
-    given = [parameter_value_to_python(value) for value in values] or [None] * len(names)  # one is unknown
-    found = [missing if value is None else value for value in given]
+    found = [parameter_value_to_python(value) for value in values] or [None] * len(names)  # one is unknown
     if None in found:
         raise GraphError(f"{node} has no parameter {names[found.index(None)]}")
     return found

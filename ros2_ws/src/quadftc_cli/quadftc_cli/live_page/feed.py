@@ -74,18 +74,13 @@ class Feed:
 
         def take(data: bytes) -> None:
             self._frame.last[topic] = data
-            if topic == TRIGGER:
-                self.beat()
+            if topic == TRIGGER and time.monotonic() >= self._due:
+                self.send()
 
         return take
 
     def _note(self, data: bytes) -> None:
         self._frame.diagnostics.append(data)
-
-    def beat(self) -> None:
-        """Hand over what has come, if a frame is due."""
-        if time.monotonic() >= self._due:
-            self.send()
 
     def send(self) -> None:
         """Hand over what has come since the last frame."""
