@@ -15,8 +15,10 @@ from quadftc_replay.flight_log import Event, FlightLog, Signal, Watched
 from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.attitude import Creep, find_creeps
 from quadftc_replay.inspection.flight import Interval
+from quadftc_replay.inspection.found import make_found
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.pairs import owner_by_other
+from quadftc_replay.inspection.rotors import first_failed
 from quadftc_replay.inspection.verdict import Verdict
 
 PLACES = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0]])
@@ -453,3 +455,11 @@ def test_noise_of_one_gyro_of_two_ends_in_no_error():
         noisy = Signal(gyro.time, gyro.value + noise[:, None] * [0.0, 1.0, 0.0])
         for found in judge(dataclasses.replace(log, gyros={**log.gyros, "": noisy})).findings:
             assert found.sigma is None or np.isfinite(found.sigma)
+
+
+def test_rotor_that_two_tests_name_is_as_sure_as_the_surer_says():
+    stopped = make_found("rotor", "2", "off", 15.1, probability=0.6, ambiguous_with=("command",))
+    lost = make_found("rotor", "2", "off", 15.0, probability=0.98)
+    (found,) = first_failed(stopped, lost)
+    assert found.finding.probability == 0.98
+    assert (found.finding.onset_s, found.finding.ambiguous_with) == (15.0, ())

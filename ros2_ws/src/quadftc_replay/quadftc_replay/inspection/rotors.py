@@ -64,7 +64,7 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
     standing = list(_standing(flight))
     stands = (each for each in standing if each.finding.component == "rotor")
     stopped = min(stands, key=lambda each: each.finding.onset_s, default=None)
-    found = _first(stopped, None if step is None else _step_found(step))
+    found = first_failed(stopped, None if step is None else _step_found(step))
     found += [each for each in standing if each.finding.component != "rotor"]
     trim, missing = trim_of(flight), list[NotJudged]()
     if trim is not None:
@@ -118,14 +118,22 @@ def _step_found(step: RotorStep) -> Found:
     )
 
 
-def _first(stopped: Found | None, lost: Found | None) -> list[Found]:
+def first_failed(stopped: Found | None, lost: Found | None) -> list[Found]:
     """Keep the rotor that failed first: a controller that flies on stops others, perhaps at once."""
     if stopped is None or lost is None:
         return [each for each in (stopped, lost) if each is not None]
     early, late = sorted((stopped, lost), key=lambda each: each.finding.onset_s)
     if stopped.finding.element == lost.finding.element:
         said = tuple(dict.fromkeys([*stopped.finding.evidence, *lost.finding.evidence]))
-        finding = stopped.finding.model_copy(update={"onset_s": early.finding.onset_s, "evidence": said})
+        surer = max((stopped.finding, lost.finding), key=lambda each: each.probability)
+        finding = stopped.finding.model_copy(
+            update={
+                "onset_s": early.finding.onset_s,
+                "probability": surer.probability,
+                "ambiguous_with": surer.ambiguous_with,
+                "evidence": said,
+            }
+        )
         return [Found(finding, stopped.curve or lost.curve)]
     return [lost if late.finding.onset_s - early.finding.onset_s < AT_ONCE else early]
 
