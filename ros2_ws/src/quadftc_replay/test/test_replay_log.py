@@ -13,6 +13,9 @@ from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternio
 from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.imu_from_log import recording_from_log, recording_of
+from quadftc_replay.inspection.inspect import inspect
+from quadftc_replay.inspection.overlay import overlay_faults
+from quadftc_replay.overlay import faults_from
 from quadftc_replay.plan import ReplayOptions, plan_replay
 from quadftc_replay.readers import LogChoice, read_log
 from recorded_logs import DATA, needs_data
@@ -138,3 +141,13 @@ def test_real_log_of_two_imus_gives_either():
         assert recording.imu.attitude_valid.sum() > 100
     assert len(main) == len(other)
     assert np.any(main.imu.body_rate != other.imu.body_rate)
+
+
+@needs_data
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_small_step_of_the_gyro_is_no_fault_of_the_attitude_made_from_it(axis):
+    log = read_log(DATA / "px4/pyulog/sample_appended_multiple.ulg")
+    spec = f"bias axis={axis} value=0.2rad/s channel=gyro start=5.9s duration=2s"
+    findings = inspect(overlay_faults(log, faults_from((), [spec]))).verdict.findings
+    assert [(each.component, each.element) for each in findings] == [("gyro", axis)]
+    assert abs(findings[0].onset_s - 5.9) < 0.02

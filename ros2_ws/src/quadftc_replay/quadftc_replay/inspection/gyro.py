@@ -1,7 +1,8 @@
 """Tests of the gyros: steps in flight, and standing offsets at rest.
 
 A step in flight that the rate itself does not explain (`steps`) is the gyro's, unless the vehicle was hit.
-Then another gyro, or an attitude that is not made of this gyro, shows it as well.
+Then another gyro, or an attitude that is not made of this gyro, shows it as well. A smaller step counts where
+attitude and gyro begin or cease to turn at different rates by as much.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from quadftc_replay.flight_log import Signal
-from quadftc_replay.inspection.agreement import Agreement, parts_by
+from quadftc_replay.inspection.agreement import SCALE, Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.flight import Flight, near_any, rests_of
 from quadftc_replay.inspection.found import BODY_AXES, Found, component_name, make_found
 from quadftc_replay.inspection.steps import (
+    LEVEL,
     LIMITS,
+    SEEN,
     Step,
     begins_within,
     join_ends,
@@ -28,6 +31,8 @@ from quadftc_replay.inspection.steps import (
 REST = 0.02  # rad/s; largest scatter of a gyro at rest
 OFFSET = 0.1  # rad/s; a standing offset that is a fault: what calibrated gyros do not have
 MANY = 8  # steps of one axis that are noise, not offsets
+CANDIDATE = 5.0  # standard deviations; of a step that the border of a creep confirms
+NEAR = 0.35  # s; between a step and the border of a creep that it makes
 TOGETHER = 0.012  # s; steps of several axes within it have one cause
 
 
@@ -46,9 +51,10 @@ def gyro_findings(
     left = creeps
     for number, (name, sensor) in enumerate(gyros.items()):
         others = [gyros[other] for other in gyros if other != name]
-        steps = steps_of(flight, sensor, LIMITS["gyro"])
-        own = [step for step in steps if not any(shows(other, step) for other in others)]
-        own = _without_knocks(flight, name, own)
+        steps = steps_of(flight, sensor, LIMITS["gyro"], CANDIDATE)
+        kept = [step for step in steps if not any(shows(other, step) for other in others)]
+        kept = _without_knocks(flight, name, kept)
+        own = [step for step in kept if step.score > LEVEL]
         ask = agreement if number == 0 else None
         # where nobody knows what moves the vehicle, a step needs a witness
         trusted = (flight.phases_known and (ask is None or is_own)) or bool(others)
@@ -56,7 +62,14 @@ def gyro_findings(
         sure = [step for step in own if trusted or (witness is not None and _confirms(witness, step))]
         joined = join_ends([step for step in sure if not step.is_pulse])
         if ask is not None:
-            left = [creep for creep in left if not any(_explains(each, creep) for each in joined)]
+            bordered = [(creep, _from_borders(creep, kept)) for creep in left]
+            offsets = [step for _, step in bordered if step is not None]
+            joined = [step for step in joined if not any(_same(step, each) for each in offsets)] + offsets
+            left = [
+                creep
+                for creep, step in bordered
+                if step is None and not any(_explains(each, creep) for each in joined)
+            ]
         found += _step_findings(flight, name, sensor, joined, has_witness=bool(others) or ask is not None)
         if trusted:
             found += _pulse_findings(name, [step for step in own if step.is_pulse])
@@ -77,6 +90,43 @@ def _without_knocks(flight: Flight, name: str, steps: Sequence[Step]) -> list[St
 def _confirms(witness: Agreement, step: Step) -> bool:
     """Whether an independent attitude does not turn as the gyro says from a step on."""
     return parts_by(witness, step.axis, step.onset, step.size)
+
+
+def _from_borders(creep: Creep, steps: Sequence[Step]) -> Step | None:
+    """The offset that a creep is, if the gyro steps where it begins or ends; None: it does not."""
+    borders: list[Step | None] = []
+    for moment, size in ((creep.span.start, creep.size), (creep.span.end, -creep.size)):
+        near = [
+            step
+            for step in steps
+            if step.axis == creep.axis
+            and not step.is_pulse
+            and abs(moment - step.onset) < NEAR
+            and abs(size - step.size) < SEEN * abs(size)
+        ]
+        borders.append(max(near, key=lambda step: step.score, default=None))
+    begin, end = borders
+    best = max(filter(None, borders), key=lambda step: step.score, default=None)
+    if best is None:
+        return None
+    # the rates' difference is as uncertain as the scale that was taken out of it
+    weights = np.array([best.sigma, SCALE * creep.size]) ** -2.0
+    sizes = np.array([best.size if best is begin else -best.size, creep.size])
+    return Step(
+        axis=creep.axis,
+        onset=begin.onset if begin else creep.span.start,
+        end=end.onset if end else creep.end,
+        size=float(weights @ sizes / weights.sum()),
+        sigma=best.sigma,
+        score=LEVEL * max(creep.score, best.score / LEVEL),
+    )
+
+
+def _same(step: Step, other: Step) -> bool:
+    """Whether a step begins or ends an offset that is known already."""
+    ends = [each for each in (step.onset, step.end) if each is not None]
+    borders = [each for each in (other.onset, other.end) if each is not None]
+    return step.axis == other.axis and any(abs(a - b) < NEAR for a in ends for b in borders)
 
 
 def _explains(step: Step, creep: Creep) -> bool:

@@ -45,7 +45,7 @@ class Limits(NamedTuple):
 LIMITS = {"gyro": Limits("rad/s", 0.05, 0.003, 0.087), "accelerometer": Limits("m/s^2", 1.5, 0.1, 0.75)}
 
 
-def steps_of(flight: Flight, sensor: Signal, limits: Limits) -> list[Step]:
+def steps_of(flight: Flight, sensor: Signal, limits: Limits, level: float = LEVEL) -> list[Step]:
     """Find the steps of a sensor (n, 3) in flight, in the order of time; begins and ends alike."""
     time = sensor.time
     if sensor.rate < SLOWEST or len(sensor) < 200:
@@ -55,7 +55,7 @@ def steps_of(flight: Flight, sensor: Signal, limits: Limits) -> list[Step]:
     found: list[Step] = []
     for axis in range(sensor.value.shape[1]):
         steps = find_steps(time, sensor.value[:, axis], flying, limits.floor)
-        found += steps_beyond(time, steps, axis, watched, limits.smallest, LEVEL)
+        found += steps_beyond(time, steps, axis, watched, limits.smallest, level)
     return sorted(found, key=lambda step: step.onset)
 
 
