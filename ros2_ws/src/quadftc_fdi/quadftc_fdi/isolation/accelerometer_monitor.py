@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from quadftc_fdi.isolation import reading_test
 from quadftc_fdi.isolation.reading_test import Deviation, Verdict
-from quadftc_model.arrays import Mask, Scalar, Vector, any_of, exp, namespace, where
+from quadftc_model.arrays import Mask, Scalar, Vector, any_of, namespace, where
 from quadftc_model.samples import STANDARD_GRAVITY
 
 NOISE, LEAST = 0.5, 0.03  # m/s²; of a reading at first, and at least: vibration comes and goes
@@ -57,7 +57,8 @@ def step_accelerometer(
     """
     quiet = ~any_of(doubtful)
     used = verdict.good & quiet & ~state.faulty
-    mean = state.mean + (1.0 - exp(-dt / AVERAGED)) * where(used, deviation - state.mean, 0.0)
+    share = -namespace(deviation).expm1(-dt / AVERAGED)  # to the last digit of a short step, too
+    mean = state.mean + share * where(used, deviation - state.mean, 0.0)
     far = used & (mean * mean > (ALARM * OFFSET) ** 2)
     alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (quiet | ~there)) | far)
     alive, known = there & ~verdict.stuck, noise + OFFSET**2
