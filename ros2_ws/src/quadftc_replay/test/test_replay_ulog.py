@@ -14,7 +14,7 @@ from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_replay.imu_from_log import recording_from_log
 from quadftc_replay.imu_recording import nearest_rows, sampling_rate
 from quadftc_replay.plan import ReplayOptions, plan_replay
-from quadftc_replay.readers import ulog
+from quadftc_replay.readers import read_log, ulog
 
 GYRO_PERIOD_US = 5000  # 200 Hz
 ATTITUDE_EVERY = 10  # gyro samples
@@ -236,3 +236,14 @@ def test_gyro_whose_clock_stands_still_is_left_out(tmp_path):
     log = ulog.read(write_ulog(tmp_path / "log.ulg", topics))
     assert not log.gyros
     assert "other gyros, slower than 20 Hz, left out: sensor_gyro[0]" in log.notes
+
+
+def test_message_of_px4_is_told_without_colours_and_with_its_module_once(tmp_path):
+    path = write_ulog(tmp_path / "a.ulg", flight())
+    said = (b"[logger] [logger] ./log/1.ulg", b"[commander] \x1b[32mReady for takeoff!\x1b[0m")
+    logged = [
+        message("L", struct.pack("<BQ", ord("6"), BOOT_US + 1000 * k) + text) for k, text in enumerate(said)
+    ]
+    path.write_bytes(path.read_bytes() + b"".join(logged))
+    texts = [event.text for event in read_log(path).events]
+    assert texts == ["[logger] ./log/1.ulg", "[commander] Ready for takeoff!"]

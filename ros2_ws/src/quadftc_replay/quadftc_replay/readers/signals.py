@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -27,6 +28,7 @@ MOST_EVENTS, LONGEST_EVENT = 500, 120  # of a log; characters
 MOST_LOST = 0.05  # 1; share of the samples of a signal, beyond which the log is not whole
 CUT = ("cut short", "cut or damaged", "damaged; read")  # words of a reader that did not get to the end
 REPEATS = 10  # events before, of which a new one is no repetition
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # what sets the colour of a terminal
 
 
 class Stamped(NamedTuple):
@@ -50,7 +52,8 @@ class Signals:
 
     def say(self, stamp_ns: int, source: str, text: str) -> None:
         """Take what the autopilot said; what it repeats counts once, and control characters do not count."""
-        line = " ".join("".join(each if each.isprintable() else " " for each in text).split())[:LONGEST_EVENT]
+        plain = "".join(each if each.isprintable() else " " for each in COLOUR.sub("", text))
+        line = " ".join(plain.split())[:LONGEST_EVENT]
         is_new = not any(each[1:] == (source, line) for each in self._events[-REPEATS:])
         if line and is_new and len(self._events) < MOST_EVENTS:
             self._events.append((int(stamp_ns), source, line))

@@ -32,6 +32,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -66,6 +67,7 @@ ESTIMATOR, PROCESSOR, POWER = "estimator_status", "cpuload", "system_power"
 RATIOS = {"vel": "velocity", "pos": "position", "hgt": "height", "mag": "magnetic field", "tas": "airspeed"}
 BOARD_VOLTAGE = 4.7  # V; PX4's arming check
 BUSY = 0.95  # 1; of the processor's time
+TWICE = re.compile(r"^(\[\w+\])\s+(?=\1)")  # the name of a module, before a text that begins with it
 DETECTOR, SELECTOR = "failure_detector_status", "estimator_selector_status"
 TOPICS = (
     *(ATTITUDE, POSITION, MOTORS, OUTPUTS, ESCS, BATTERY, TORQUE, THRUST, CONTROLS, SELECTION),
@@ -252,7 +254,7 @@ def _watch(signals: Signals, log: Contents) -> None:
 
 
 def _add_events(signals: Signals, log: Contents) -> None:
-    said = [(stamp, "message", text) for stamp, text in log.messages]
+    said = [(stamp, "message", TWICE.sub("", text)) for stamp, text in log.messages]
     if data := log.get(DETECTOR):
         for name in (each for each in data if each.startswith(("fd_", "motor_failure_mask"))):
             said += [(stamp, DETECTOR, f"{name} {value}") for stamp, value in _changes(data, name) if value]
