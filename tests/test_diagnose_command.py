@@ -64,6 +64,15 @@ def test_mapping_that_is_wrong_says_where(archive, tmp_path, old, new, words):
     assert done.stderr == f"error: {tmp_path}/{words}\n"
 
 
+def test_reason_is_given_once(archive, tmp_path):
+    options = ("--mapping", tmp_path / "mapping.toml", "--log", "1", "--out", tmp_path / "out", "--no-report")
+    done = call_quadftc("diagnose", archive, *options)
+    assert done.stdout.count("no voltage is logged") == 1, done.stdout
+    found = call_quadftc("diagnose", archive, *options, "--fault", "stuck channel=gyro start=10s")
+    assert found.returncode == 1
+    assert "not judged: battery: no voltage is logged\n" in found.stdout, "no sentence says so of a fault"
+
+
 def test_file_that_is_no_log_is_named(tmp_path):
     path = tmp_path / "plot.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n")

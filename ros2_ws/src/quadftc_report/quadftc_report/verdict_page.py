@@ -17,7 +17,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.found import Curve
 from quadftc_replay.inspection.gyro import component_name
 from quadftc_replay.inspection.inspect import Inspection
-from quadftc_replay.inspection.verdict import Finding, Verdict, show
+from quadftc_replay.inspection.verdict import Finding, Verdict, show, unsaid
 from quadftc_report.description import Figure, Mark, Panel, Shade, Trace
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.page import render_template
@@ -183,12 +183,12 @@ def _components(inspection: Inspection) -> Iterator[Component]:
     flights = [("judged", each.start, each.end) for each in inspection.flight.intervals]
     for name in _names(verdict):
         found = [each for each in verdict.findings if each.component == name]
-        reasons = [f"not judged: {each.reason}" for each in verdict.not_judged if each.component == name]
+        reasons = [f"not judged: {each.reason}" for each in unsaid(verdict) if each.component == name]
         texts = [f"{each.name}: {each.kind} {describe(each).partition(';')[0]}" for each in found]
         faults = [("fault", each.onset_s, end if each.end_s is None else each.end_s) for each in found]
         bars = [*(flights if name in verdict.judged else [("open", 0.0, end)]), *faults]
         outcome = "fault" if found else "no fault found" if name in verdict.judged else "not judged"
-        texts += [outcome] if outcome == "no fault found" else []
+        texts += [outcome] if outcome == "no fault found" or not (texts or reasons) else []
         shares = tuple(
             (look, 100.0 * start / end, 100.0 * (stop - start) / end) for look, start, stop in bars
         )

@@ -93,8 +93,10 @@ def test_page_of_a_log_that_lacks_much_is_escaped_and_says_what_is_missing():
     assert "<b>log" not in text
     assert '<h1 class="verdict unsure">' in text
     assert "? not enough to say" in text
-    assert re.search(r'class="open".*\n.*not judged: no voltage is logged', text)
-    assert text.index("not judged:") < text.index("no fault found</td>"), "what is open comes first"
+    assert re.search(r"<h1.*battery \(no voltage is logged\)", text)
+    assert text.count("no voltage is logged") == 1, "a reason is given once"
+    assert re.search(r'class="open".*\n.*\?</span>not judged</td>', text)
+    assert text.index("not judged</td>") < text.index("no fault found</td>"), "what is open comes first"
 
 
 def test_log_without_a_signal_to_draw_has_a_page():

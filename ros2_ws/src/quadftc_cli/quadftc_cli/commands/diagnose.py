@@ -105,7 +105,7 @@ def diagnose(
 
 
 def _show(verdict: Verdict) -> None:
-    from quadftc_replay.inspection.verdict import show
+    from quadftc_replay.inspection.verdict import show, unsaid
 
     say(verdict.sentence)
     if verdict.findings:
@@ -125,6 +125,6 @@ def _show(verdict: Verdict) -> None:
     if len(verdict.timeline) > 1:
         shown = verdict.timeline[:SHOWN]
         say("timeline:", *(f"  {each.time_s:8.2f} s  {each.source}: {each.text}" for each in shown))
-    say(*(f"not judged: {each.component}: {each.reason}" for each in verdict.not_judged))
+    say(*(f"not judged: {each.component}: {each.reason}" for each in unsaid(verdict)))
     say(*(f"for the next flight: {each}" for each in verdict.advice))
     say(*(f"note: {note}" for note in verdict.notes))

@@ -143,6 +143,11 @@ def unjudged(judged: Sequence[str], not_judged: Sequence[NotJudged]) -> list[str
     return [each for each in dict.fromkeys(entry.component for entry in not_judged) if each not in judged]
 
 
+def unsaid(verdict: Verdict) -> list[NotJudged]:
+    """Return what could not be judged for a reason that the sentence of the verdict does not give."""
+    return [each for each in verdict.not_judged if f"({each.reason})" not in verdict.sentence]
+
+
 def show(value: float, unit: str) -> str:
     """Write a size with its unit."""
     return f"{100.0 * value:.0f} %" if unit == "1" else f"{value:.3g} {unit.replace('^2', '²')}"
