@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -71,6 +73,16 @@ def test_reason_is_given_once(archive, tmp_path):
     found = call_quadftc("diagnose", archive, *options, "--fault", "stuck channel=gyro start=10s")
     assert found.returncode == 1
     assert "not judged: battery: no voltage is logged\n" in found.stdout, "no sentence says so of a fault"
+
+
+@pytest.mark.parametrize("command", ["diagnose", "replay"])
+def test_log_that_is_not_there_is_named_before_what_reads_logs_is_imported(command):
+    code = "import sys\nfrom quadftc_cli.main import guarded\ncode = guarded(sys.argv[1:])\n"
+    code += "print(code, *(name for name in ('numpy', 'scipy') if name in sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, command, "nowhere"], capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.stderr) == ("2\n", "error: nowhere: No such file or directory\n")
 
 
 def test_file_that_is_no_log_is_named(tmp_path):

@@ -94,7 +94,7 @@ def test_fault_is_overlaid_and_judged(fly_graph, busy_scenario, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nowhere"], "error: nowhere: no such bag"),
+        (["nowhere"], "error: nowhere: No such file or directory"),
         (["RUN", "--topic", "torque/command"], "is of type geometry_msgs/msg/Vector3Stamped, expected"),
         (["RUN", "--fault", "bias axis=rol value=3deg"], "axes: 'rol' is no axis"),
         (["RUN", "--observer", "kalman"], "no fault observer 'kalman'"),

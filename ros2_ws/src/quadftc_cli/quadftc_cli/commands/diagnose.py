@@ -68,6 +68,7 @@ def diagnose(
 
     The exit code is 0 for a healthy flight, 1 with a finding, 4 if the log does not hold enough to say.
     """
+    options.ask_for_files(log, baseline, mapping)
     from quadftc_replay.inspection.diagnosis import (
         VERDICT,
         DiagnosisOptions,

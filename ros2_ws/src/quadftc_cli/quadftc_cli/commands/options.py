@@ -16,6 +16,13 @@ def page_at(out: Path) -> Path:
     return out if out.suffix == ".html" else out / "report.html"
 
 
+def ask_for_files(*paths: Path | None) -> None:
+    """Raise OSError for a path that is not there, before what reads it is imported, which takes a second."""
+    for path in paths:
+        if path is not None:
+            path.stat()
+
+
 def complete_scenario(incomplete: str) -> list[str]:
     """Complete the name of a scenario in the shell; a path is completed by the shell itself."""
     from quadftc_flight.scenario.files import scenario_names

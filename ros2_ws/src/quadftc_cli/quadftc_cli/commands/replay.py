@@ -73,6 +73,7 @@ def replay(
 
     Beside the bag, summary.json says how good the estimates are. The exit code is 1 if a check fails.
     """
+    options.ask_for_files(bag, *faults, *checks)
     from quadftc_cli.judging import judge
     from quadftc_cli.metric_table import axis_table, diagnosis_table
     from quadftc_flight.checks import checks_from
