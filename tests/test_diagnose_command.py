@@ -85,6 +85,13 @@ def test_log_that_is_not_there_is_named_before_what_reads_logs_is_imported(comma
     assert (done.stdout, done.stderr) == ("2\n", "error: nowhere: No such file or directory\n")
 
 
+def test_fault_that_begins_too_late_is_quoted_as_it_was_given(archive, tmp_path):
+    fault = "bias channel=gyro axis=x value=3deg/s start=60min"
+    options = ("--mapping", tmp_path / "mapping.toml", "--log", "1", "--fault", fault)
+    done = call_quadftc("diagnose", archive, *options)
+    assert done.stderr.startswith(f"error: fault '{fault}': start = 3600 s: must be before the end")
+
+
 def test_file_that_is_no_log_is_named(tmp_path):
     path = tmp_path / "plot.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n")

@@ -97,6 +97,10 @@ def test_fault_is_overlaid_and_judged(fly_graph, busy_scenario, tmp_path):
         (["nowhere"], "error: nowhere: No such file or directory"),
         (["RUN", "--topic", "torque/command"], "is of type geometry_msgs/msg/Vector3Stamped, expected"),
         (["RUN", "--fault", "bias axis=rol value=3deg"], "axes: 'rol' is no axis"),
+        (
+            ["RUN", "--fault", "bias axis=roll value=3deg start=9min"],
+            "'bias axis=roll value=3deg start=9min': s",
+        ),
         (["RUN", "--observer", "kalman"], "no fault observer 'kalman'"),
         (["RUN", "--faults", "nowhere.yaml"], "nowhere.yaml: No such file or directory"),
     ],

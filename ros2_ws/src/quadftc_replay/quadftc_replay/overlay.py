@@ -6,6 +6,7 @@ from the first sample.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -21,13 +22,24 @@ from quadftc_sim.assembly import injection_from
 from quadftc_sim.injection import RESERVED, ask_for_units
 
 
-def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Fault, ...]:
+@dataclasses.dataclass(frozen=True, eq=False)
+class OverlaidFault(Fault):
+    """A fault that is put on a recording, and how it was asked for."""
+
+    said: str  # the specification that was given; of a fault from a file its `spec`
+
+
+def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[OverlaidFault, ...]:
     """Build the faults of the files, and after them those of the specifications.
 
     A specification is such as ``bias axis=roll value=3deg start=60s stop=80s``. A ValueError says which one
     is wrong, and what was expected.
     """
-    return (*(fault for file in files for fault in _read_faults(file)), *map(_parse_fault, specs))
+    read = (fault for file in files for fault in _read_faults(file))
+    return (
+        *(OverlaidFault(fault.injection, fault.given, fault.spec) for fault in read),
+        *map(_parse_fault, specs),
+    )
 
 
 def replay_windows(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultWindow, ...]:
@@ -42,13 +54,13 @@ def replay_events(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultE
     return fault_schedule.merge_events([*recording.fault_events, *overlaid])
 
 
-def _parse_fault(spec: str) -> Fault:
+def _parse_fault(spec: str) -> OverlaidFault:
     injection, (kind, values) = injection_from(spec), parse_spec(spec)
     try:
         ask_for_units(kind, values)
     except ValueError as error:
         raise ValueError(f"fault '{spec}': {error}") from None
-    return Fault(injection, tuple(name for name in values if name not in RESERVED))
+    return OverlaidFault(injection, tuple(name for name in values if name not in RESERVED), spec)
 
 
 class _FaultsFile(BaseModel):

@@ -137,7 +137,7 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     for fault in faults:  # one that starts after the end would not act
         if (start := fault.injection.start) >= recording.duration:
             bound = f"must be before the end of {recording.name}, {recording.duration:.3f} s"
-            raise ValueError(f"fault '{fault.spec}': start = {start:g} s: {bound}")
+            raise ValueError(f"fault '{fault.said}': start = {start:g} s: {bound}")
     observer = choose_observer(recording, options.observer, options.vehicle, options.settings)
     plan = Replay(
         recording=recording,

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from quadftc_flight.junit import Case, Failure, write_file, write_junit
-from quadftc_flight.scenario import Fault
 from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.calibration import level_for
 from quadftc_replay.flight_log import FlightLog
@@ -40,7 +39,7 @@ def diagnose_log(
     path: Path, options: DiagnosisOptions, progress: Progress = lambda _share: None
 ) -> Inspection:
     """Read and judge a log; a ValueError of one line says what is wrong with it or with the options."""
-    faults: tuple[Fault, ...] = faults_from((), options.faults)
+    faults = faults_from((), options.faults)
     log = read_with_layout(path, options.vehicle, options.choice)
     baseline = None
     level = level_for(options.false_alarms, log.format) if options.false_alarms else None

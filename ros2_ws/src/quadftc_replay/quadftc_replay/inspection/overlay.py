@@ -10,28 +10,28 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quadftc_flight.scenario import Fault
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_replay.flight_log import FlightLog, Floats, Signal
 from quadftc_replay.inspection.flight import Flight, prepare
+from quadftc_replay.overlay import OverlaidFault
 from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
 
 CHANNELS = ("gyro", "accelerometer", "attitude")
 
 
-def overlay_faults(log: FlightLog, faults: Sequence[Fault], seed: int = 0) -> FlightLog:
+def overlay_faults(log: FlightLog, faults: Sequence[OverlaidFault], seed: int = 0) -> FlightLog:
     """Put faults on a log; a ValueError says which one cannot act."""
     flight = prepare(log)
     for number, fault in enumerate(faults, 1):
         injection = fault.injection
         if injection.start >= log.end:
             bound = f"must be before the end of the log, {log.end:.3f} s"
-            raise ValueError(f"fault '{fault.spec}': start = {injection.start:g} s: {bound}")
+            raise ValueError(f"fault '{fault.said}': start = {injection.start:g} s: {bound}")
         channels = CHANNELS if injection.channel == "imu" else (injection.channel,)
         there = [channel for channel in channels if _signal(flight, channel) is not None]
         if not there:
-            raise ValueError(f"fault '{fault.spec}': {log.path.name} has no {injection.channel}")
+            raise ValueError(f"fault '{fault.said}': {log.path.name} has no {injection.channel}")
         for channel in there:
             log = _with_fault(prepare(log), channel, injection, seed, number)
     return log
