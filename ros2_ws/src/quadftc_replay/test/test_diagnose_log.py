@@ -14,7 +14,10 @@ from scipy.signal import lfilter
 
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.agreement import Agreement, parts_by
+from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.diagnosis import write_verdict, write_verdict_junit
+from quadftc_replay.inspection.flight import Interval, prepare
+from quadftc_replay.inspection.gyro import gyro_findings
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.inspection.verdict import Verdict, schema
@@ -102,6 +105,41 @@ def test_attitude_confirms_a_step_of_the_gyro_where_both_part():
     assert not parts_by(agreement, 0, float(time[2000]), -0.2)
     assert not parts_by(agreement, 0, float(time[3000]), 0.2)
     assert not parts_by(agreement, 1, float(time[2000]), 0.2)
+
+
+def findings_at_a_creep(size: float, off: tuple[str, ...], sweep: float = 0.0):
+    """What is said of two gyros, some off about x from 12 to 16 s, if the first one parts from the attitude.
+
+    ``sweep`` [s] is how long the offset takes to begin. Returns names with onset [s], and the creeps left.
+    """
+    log = hover()
+    gyro, rng = log.gyros[""], np.random.default_rng(1)
+    offset = size * np.clip((gyro.time - 12.0) / max(sweep, 1e-9), 0.0, 1.0) * (gyro.time < 16.0)
+    gyros = {
+        name: Signal(gyro.time, gyro.value + 0.001 * rng.standard_normal(gyro.value.shape))
+        for name in ("", "1")
+    }
+    for name in off:
+        gyros[name].value[:, 0] += offset
+    nothing = Agreement(gyro.time, gyro.time, gyro.value, np.zeros(3), gyro.value)  # nobody asks it
+    creep = Creep(0, Interval(12.1, 15.9), size, 0.003, 1.5, 15.9)
+    flight = prepare(dataclasses.replace(log, gyros=gyros))
+    found, left = gyro_findings(flight, gyros, nothing, [creep], is_own=True)
+    return [(each.finding.name, each.finding.onset_s) for each in found], left
+
+
+@pytest.mark.parametrize(("size", "sweep", "onset"), [(0.1, 0.0, 12.0), (0.3, 0.0, 12.0), (0.3, 1.0, 12.1)])
+def test_creep_with_a_step_of_the_gyro_where_it_begins_or_ends_is_the_gyros(size, sweep, onset):
+    found, left = findings_at_a_creep(size, ("",), sweep)
+    assert found == [("gyro x", pytest.approx(onset, abs=0.02))]
+    assert not left
+
+
+@pytest.mark.parametrize("off", [("", "1"), ("1",)], ids=["both", "other"])
+def test_creep_is_no_fault_of_a_gyro_if_another_one_steps_as_well_or_alone(off):
+    found, left = findings_at_a_creep(0.1, off)
+    assert not found
+    assert len(left) == 1
 
 
 def test_knock_is_no_gyro_fault():
