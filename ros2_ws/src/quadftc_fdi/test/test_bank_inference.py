@@ -261,7 +261,7 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
     bank = inference.open_slots(bank, ALIKE, 0.0)
-    gone = inference.forget(bank, np.array([False, True, False]), np.zeros(3, np.bool_)).age < 0.0
+    gone = inference.forget(bank, np.array([False, True, False])).age < 0.0
     assert np.array_equal(gone, (modes.AXIS[: modes.EFFECTS] == 1)[:, None] | (bank.age < 0.0))
 
 
@@ -275,14 +275,15 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
     assert np.array_equal(gone.any(axis=-1), expected)
 
 
-def test_a_gyro_without_its_attitude_needs_new_evidence_and_nobody_else_does():
+def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other():
     bank = inference.start_bank(np.zeros(3))
-    bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0)
-    alone = np.array([True, False, False])
-    after = inference.forget(bank, np.zeros(3, np.bool_), alone)
-    again = (modes.KIND == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
+    bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0, square=bank.square + 1.0, count=bank.count + 1.0)
+    after = inference.forget(bank, np.array([True, False, False]))
+    others = np.array([0.0, 1.0, 1.0])
     for part in (after.J, after.d):
-        np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))
+        np.testing.assert_array_equal(part, np.broadcast_to(others[:, None, None], part.shape))
+    for part in (after.square, after.count):
+        np.testing.assert_array_equal(part, np.broadcast_to(others[:, None], part.shape))
 
 
 @pytest.mark.parametrize("sensor", [0, 1])

@@ -28,6 +28,9 @@ the mean of (e - S b)², if f > 1. Against none, whose innovations have the vari
 So does vibration, which is no fault: a gyro that scatters, and reads nothing else. It takes its share of what
 speaks for a wild gyro.
 
+What a named fault explains speaks for no other: hypotheses on other axes lose what its axis has shown. So J
+and d are kept apart by the axis of the innovation.
+
 Where no mode fits, the best proves little against the next. What an axis shows is divided by what its best
 hypothesis leaves of the innovations' squares, over what noise would (Birge 1932), if that is more than 1.
 """
@@ -45,7 +48,6 @@ from quadftc_fdi.bank.modes import (
     CHANGES,
     EFFECT,
     EFFECTS,
-    GYRO,
     IS_FAULT,
     KIND,
     MORE,
@@ -97,8 +99,8 @@ class Bank(NamedTuple):
     """Hypotheses (..., modes, slots); U has states, axes and two columns, size and slope, before these."""
 
     U: Array  # (..., 8, 3, 2, modes, slots)
-    J: Array  # of both channels (..., 2, 3, modes, slots): size by size, size by slope, slope by slope
-    d: Array  # (..., 2, 2, modes, slots)
+    J: Array  # size by size, size by slope, slope by slope, by channel and axis (..., 2, 3, 3, modes, slots)
+    d: Array  # (..., 2, 2, 3, modes, slots)
     square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
     count: Array  # of these innovations (..., 2, axes, slots)
     age: Array  # of onsets (..., modes, slots) [s]
@@ -121,11 +123,11 @@ def start_bank(like: Vector) -> Bank:
     """Start without an onset; the first comes when noise has been learned."""
     xp, batch = namespace(like), like.shape[:-1]
     modes = (EFFECTS, len(RING))
-    J, temper = xp.zeros((*batch, 2, 3, *modes)), xp.zeros((*batch, 2, 3, len(SLOTS)))
+    J, temper = xp.zeros((*batch, 2, 3, 3, *modes)), xp.zeros((*batch, 2, 3, len(SLOTS)))
     U, age = xp.zeros((*batch, STATES, 3, 2, *modes)), xp.zeros((*batch, *modes)) + NEVER
     none, since = xp.zeros((*batch, 2, 3, len(RING))), xp.zeros((*batch, len(SLOTS))) - LEARNING
     started = none[..., 0, :, :] + LOWEST
-    return Bank(U, J, J[..., :2, :, :], none, none, age, started, since, temper + DOUBT, temper)
+    return Bank(U, J, J[..., :2, :, :, :], none, none, age, started, since, temper + DOUBT, temper)
 
 
 def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
@@ -168,8 +170,8 @@ def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
     best, started = _likeliest(state, worth)
     return state._replace(
         U=where(fresh[..., None, None, None, :, :], jump + _returning(state.U, best), state.U),
-        J=where(fresh[..., None, None, :, :], _returning(state.J, best), state.J),
-        d=where(fresh[..., None, None, :, :], _returning(state.d, best), state.d),
+        J=where(fresh[..., None, None, None, :, :], _returning(state.J, best), state.J),
+        d=where(fresh[..., None, None, None, :, :], _returning(state.d, best), state.d),
         started=where(fresh, started, state.started),
         square=where(fresh[..., None, :, :], 0.0, state.square),
         count=where(fresh[..., None, :, :], 0.0, state.count),
@@ -238,13 +240,13 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
     weight = where(seen.used, 1.0 / seen.variance, 0.0)
     w, e = weight[..., None, None], (weight * seen.innovation)[..., None, None, None]
     one, two = S[..., 0, :, :], S[..., 1, :, :]  # (..., 3, modes, slots)
-    J = xp.stack([(w * one * one).sum(-3), (w * one * two).sum(-3), (w * two * two).sum(-3)], axis=-3)
+    J = xp.stack([w * one * one, w * one * two, w * two * two], axis=-4)
     gain = seen.gain.swapaxes(-1, -2)[..., None, None, None]  # (..., 8, 3, 1, 1, 1)
     own = np.eye(2)[channel][:, None, None, None]
     return state._replace(
         U=state.U - gain * S[..., None, :, :, :, :],
-        J=state.J + own * J[..., None, :, :, :],
-        d=state.d + own * (e * S).sum(-4)[..., None, :, :, :],
+        J=state.J + own[..., None] * J[..., None, :, :, :, :],
+        d=state.d + own[..., None] * (e * S).swapaxes(-3, -4)[..., None, :, :, :, :],
         square=state.square + own[..., 0] * (weight * seen.innovation**2)[..., None, :, None],
         count=state.count + own[..., 0] * seen.used[..., None, :, None],
     )
@@ -259,7 +261,7 @@ def believe(state: Bank, witnessed: Mask, failing: Flag) -> Posterior:
     """
     xp, share = namespace(state.age), 1.0 / state.temper.max(axis=-1)  # (..., 2, axes); alike for all onsets
     of_effects = share[..., AXIS[:EFFECTS]][..., None, :, None]
-    J, d = (state.J * of_effects)[..., EFFECT, :], (state.d * of_effects)[..., EFFECT, :]
+    J, d = ((part.sum(axis=-3) * of_effects)[..., EFFECT, :] for part in (state.J, state.d))
     square, count = state.square * share[..., None], state.count  # (..., 2, axes, slots)
     heard, number = square[..., OF_GYRO, :, :], count[..., OF_GYRO, :, :]
     # gyros that scatter: those of vibration, and wild ones less their line
@@ -334,7 +336,7 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     found: list[Array] = []
     expected: list[Array] = []
     for channel, modes in enumerate(TESTS):
-        J, d = state.J[..., channel, :, modes, :], state.d[..., channel, :, modes, :]
+        J, d = (part[..., channel, :, :, modes, :].sum(axis=-3) for part in (state.J, state.d))
         _, b, covariance = _solved(J, d, PRIOR[modes])
         began = 1.0 * (state.age[..., modes, :] >= 0.0)
         found.append((began * (d * b).sum(axis=-3)) @ rings)
@@ -349,15 +351,12 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     return state._replace(temper=larger(state.temper + news, 1.0), learned=time)
 
 
-def forget(state: Bank, axes: Mask, alone: Mask) -> Bank:
+def forget(state: Bank, axes: Mask) -> Bank:
     """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise.
 
-    A gyro that is ``alone``, without its attitude, has explained what other axes show: it needs new evidence.
+    Those of other axes lose what these axes have shown: it was of the fault that is believed.
     """
-    own = AXIS[:EFFECTS]
-    gone = axes[..., own][..., None]
-    again = ~(alone[..., own] & (KIND[:EFFECTS] == GYRO))[..., None]
-    J, d = state.J * again[..., None, None, :, :], state.d * again[..., None, None, :, :]
-    heard = ~alone[..., None, :, None]
-    square, count = state.square * heard, state.count * heard
+    gone = axes[..., AXIS[:EFFECTS]][..., None]
+    J, d = (where(axes[..., None, None, :, None, None], 0.0, part) for part in (state.J, state.d))
+    square, count = (where(axes[..., None, :, None], 0.0, part) for part in (state.square, state.count))
     return state._replace(age=where(gone, NEVER, state.age), J=J, d=d, square=square, count=count)

@@ -151,7 +151,7 @@ class BankObserver(FlightLaw):
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
-            lambda: trust.take_over(moved, bank, posterior, named, added, ~speaks[0]),
+            lambda: trust.take_over(moved, bank, posterior, named, added),
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
         attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), _of_gyro(1.0 * named) > 0.0
