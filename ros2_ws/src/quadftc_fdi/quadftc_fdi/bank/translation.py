@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from quadftc_fdi.bank.inference import Bank, Posterior
+from quadftc_fdi.bank.noise import TIGHT
 from quadftc_fdi.isolation import accelerometer_monitor, free_flight, naming, reading_test, rotor_watch
 from quadftc_fdi.isolation.accelerometer_monitor import LEAST, NOISE, AccelerometerMonitor
 from quadftc_fdi.isolation.free_flight import FreeFlight
@@ -23,8 +25,11 @@ from quadftc_model.arrays import (
     Scalar,
     Vector,
     column,
+    exp,
     larger,
+    log,
     namespace,
+    smaller,
     stacked,
     where,
 )
@@ -89,6 +94,30 @@ def judge_rotors(
     pushing = xp.concatenate([none[..., :2], column(unsure)], axis=-1)
     state = state._replace(rotors=rotors, pushing=pushing)
     return state, inputs._replace(torque=acts.torque, thrust=acts.thrust), acts.turning
+
+
+def ask_position(state: Translation, bank: Bank, posterior: Posterior) -> tuple[Posterior, Mask]:
+    """Weigh faults of the attitude by the tilt that the position shows; also return where it does (..., 3).
+
+    That tilt follows a fault b + s t late (`free_flight`). Off by more than three sigma, it fits nothing, and
+    says nothing.
+    """
+    xp, flight = namespace(bank.age), state.flight
+    if flight is None:
+        return posterior, state.accelerometer.faulty & False
+    tilt, own, counts = (part[..., None] for part in free_flight.tilt_of(flight, state.accelerometer))
+    age, lag = larger(bank.age[..., EVERY, :], 0.0), column(column(larger(free_flight.lag_of(flight), 1e-3)))
+    of_size = 1.0 - exp(-age / lag)
+    of_slope = age - lag * of_size
+    b, C = posterior.b[..., EVERY, :], posterior.covariance[..., EVERY, :]
+    due = of_size * b[..., 0, :, :] + of_slope * b[..., 1, :, :]
+    spread = of_size**2 * C[..., 0, :, :] + 2.0 * of_size * of_slope * C[..., 1, :, :]
+    both = own + larger(spread + of_slope**2 * C[..., 2, :, :], 0.0)
+    fits = smaller((tilt - due) ** 2 / both, TIGHT) + log(both / own)
+    said = where(counts, 0.5 * (smaller(tilt * tilt / own, TIGHT) - fits), 0.0)
+    others = xp.zeros_like(posterior.log_weight[..., 3:, :])
+    weight = posterior.log_weight + xp.concatenate([said, others], axis=-2)
+    return posterior._replace(log_weight=weight), counts[..., 0]
 
 
 def judge_accelerometer(

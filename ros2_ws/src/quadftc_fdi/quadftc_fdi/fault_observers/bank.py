@@ -145,9 +145,10 @@ class BankObserver(FlightLaw):
         failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude)])
         witnesses = speaks[0], speaks[1] & ~state.gyro.faulty, column(inputs.driven)
         posterior = inference.believe(bank, speaks[0] & column(inputs.driven), failing)
+        posterior, asked = translation.ask_position(beside, bank, posterior)
         shares, p, doubt = _probabilities(posterior)
         aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
-        named = self._named(p, doubt, aged, *witnesses)
+        named = self._named(p, doubt, aged, asked, *witnesses)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
@@ -270,18 +271,26 @@ class BankObserver(FlightLaw):
         return motion.predict(motion.unsettled(state.motion, motion.D, turning), *moves, dt), known, torque
 
     def _named(
-        self, p: Array, doubt: Array, aged: Array, good_attitude: Mask, good_gyro: Mask, driven: Flag
+        self,
+        p: Array,
+        doubt: Array,
+        aged: Array,
+        asked: Mask,
+        good_attitude: Mask,
+        good_gyro: Mask,
+        driven: Flag,
     ) -> Array:
         """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
 
         Twice the certainty is needed where only one witness is left: the other sensor without a torque, or
-        the torque without the other sensor. It is needed of an attitude that returns, and of one that jumps,
-        which must have stayed; thrice of a push: these hide what began with them. A wild gyro must be so for
-        as long as it takes to hear vibration.
+        the torque without the other sensor. It is needed of an attitude of which the position is ``asked``
+        (..., 3), as that speaks late; of one that returns; and of one that jumps, which must have stayed.
+        Thrice is needed of a push: these hide what began with them. A wild gyro must be so for as long as it
+        takes to hear vibration.
         """
         few, kind = 1.0 - self.level, modes.KIND
         last = (modes.CHANGED == modes.GYRO) & ~good_attitude[..., modes.AXIS]
-        last = last | ((kind == modes.ATTITUDE) & ~good_gyro[..., modes.AXIS]) | ~driven
+        last = last | ((kind == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
         twice = last | stays | (kind == modes.RETURN) | (kind == modes.WILD)
         least = where(twice, few * few, where(modes.IS_FAULT, few, few**3))

@@ -181,7 +181,7 @@ def step_flight(
 
 def follow_tilt(state: FreeFlight, fault: Vector, age: Vector, new: Mask, dt: Scalar) -> FreeFlight:
     """Follow what b shows of attitude faults [rad] of an age [s]. ``new`` ones have grown evenly so far."""
-    lag = column(_bias_variance(state.motion)) / WALK**2
+    lag = column(lag_of(state))
     ago = larger(age, dt)
     grown = fault * (1.0 - lag / ago * (1.0 - exp(-ago / lag)))
     return state._replace(due=where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due)))
@@ -192,15 +192,25 @@ def vote(state: FreeFlight, monitor: AccelerometerMonitor, fault: Vector, std_de
 
     The tilt error by b is normal: about 0 where the gyro is wrong, about what is due where the attitude is.
     """
+    tilt, own, counts = tilt_of(state, monitor)
+    both = own + std_dev * std_dev
+    said = (tilt - state.due) ** 2 / both - tilt**2 / own + log(both / own)
+    return where(counts, clip(0.5 * said, -FINAL, FINAL), 0.0)
+
+
+def tilt_of(state: FreeFlight, monitor: AccelerometerMonitor) -> tuple[Vector, Vector, Mask]:
+    """Tilt error of the attitude by b [rad], its variance in healthy flight, and where it counts (..., 3)."""
     x, y, _ = components((state.motion.bias - state.base) / STANDARD_GRAVITY)
     sx, sy, _ = components(state.spread / STANDARD_GRAVITY**2)
     none = namespace(x).zeros_like(x)
-    tilt, size, spread = stacked([-y, x, none]), state.due, stacked([sy, sx, none])
     counts = _known(state.motion) & (state.learned > NEEDED) & ~any_of(monitor.faulty)[..., 0]
-    own = (LEAST / STANDARD_GRAVITY) ** 2 + spread
-    both = own + std_dev * std_dev
-    said = (tilt - size) ** 2 / both - tilt**2 / own + log(both / own)
-    return where(column(counts) & TILTS, clip(0.5 * said, -FINAL, FINAL), 0.0)
+    own = (LEAST / STANDARD_GRAVITY) ** 2 + stacked([sy, sx, none])
+    return stacked([-y, x, none]), own, column(counts) & TILTS
+
+
+def lag_of(state: FreeFlight) -> Scalar:
+    """How late b follows [s]."""
+    return _bias_variance(state.motion) / WALK**2
 
 
 def _known(motion: State) -> Flag:
