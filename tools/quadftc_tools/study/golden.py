@@ -5,8 +5,7 @@
 
 DIR holds the recordings, in ``broad/`` and ``crazyflie/``; without it there are the simulated flights alone.
 Printed are a table of counts and each difference to ``tests/golden/observers/NAME.json``, which ``--write``
-writes anew. The exit code is 1 if there is a difference. ``--campaign`` flies other flights: of a campaign of
-both sets, with a seed and a count. docs/judging.md says how to use it.
+writes anew. The exit code is 1 if there is a difference. ``--campaign`` flies others, of any campaign. docs/judging.md says how to use it.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from quadftc_tools.study.golden_alarms import (
     read_verdicts,
     write_verdicts,
 )
-from quadftc_tools.study.golden_trials import FLIGHTS, SETS, Trial, flights_of, trials
+from quadftc_tools.study.golden_trials import SETS, Trial, flights_of, trials
 
 STORED = Path(__file__).resolve().parents[3] / "tests" / "golden" / "observers"
 
@@ -58,7 +57,7 @@ def main() -> int:
     parser.add_argument("--observer", required=True, help="name of a fault observer")
     parser.add_argument("--set", choices=SETS, dest="part", help="this half alone")
     parser.add_argument("--write", action="store_true", help="store the verdicts")
-    parser.add_argument("--campaign", choices=FLIGHTS, help="other flights alone")
+    parser.add_argument("--campaign", metavar="NAME", help="other flights alone, of campaigns/NAME.yaml")
     parser.add_argument("--seed", type=int, default=1, help="of these")
     parser.add_argument("--count", type=int, default=100, help="of these")
     options = parser.parse_args()
