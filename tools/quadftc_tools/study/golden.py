@@ -5,7 +5,8 @@
 
 DIR holds the recordings, in ``broad/`` and ``crazyflie/``; without it there are the simulated flights alone.
 Printed are a table of counts and each difference to ``tests/golden/observers/NAME.json``, which ``--write``
-writes anew. The exit code is 1 if there is a difference. ``--campaign`` flies others, of any campaign. docs/judging.md says how to use it.
+writes anew. The exit code is 1 if there is a difference. ``--campaign`` flies others, of any campaign.
+docs/judging.md says how to use it.
 """
 
 from __future__ import annotations
