@@ -33,6 +33,7 @@ LONGEST = 24  # operations in one statement
 HELPERS = """\
 static inline {real} larger({real} x, {real} y) {{ return x >= y || x != x ? x : y; }}
 static inline {real} smaller({real} x, {real} y) {{ return x <= y || x != x ? x : y; }}
+static inline {real} either(bool flag, {real} x, {real} y) {{ return flag ? x : y; }}
 static inline int64_t whole({real} x) {{ return x > -9.2e18{f} && x < 9.2e18{f} ? (int64_t)x : INT64_MIN; }}
 static inline int64_t within(int64_t k, int64_t most) {{ return k < 0 ? 0 : k > most ? most : k; }}
 """
@@ -248,6 +249,8 @@ class Emitter:
             self._unread |= dict.fromkeys(variables, len(self.lines))
             self.line(f"{kind} {', '.join(variables)};")
             return Storage(name, separate=True)
+        if dtype.kind == "b":  # as wide as the numbers, so that a loop of both becomes vector instructions
+            kind = "int64_t" if self.real == "double" else "int32_t"
         return Storage(self._take(kind, max(size, 1)))
 
     def _take(self, kind: str, size: int) -> str:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -108,10 +109,16 @@ def _logical(op: str, dtype: np.dtype, x: Sequence[Expression]) -> Expression:
     return Expression(f"({x[0].within(0)} {BITS[op]} {x[1].within(0)})")
 
 
+PLAIN = re.compile(r"-?(?:->|[\w\0\[\].])*")  # a number, a variable, an element of an array
+
+
 def _select(node: Node, x: Sequence[Expression]) -> Expression:
     """Return the case that a flag or a number selects."""
     which, *cases = x
     if node.operands[0].dtype.kind == "b":
+        # what is only read is read at once, so that a loop of it becomes vector instructions
+        if node.dtype.kind == "f" and all(PLAIN.fullmatch(each.text) for each in cases):
+            return call("either", which, cases[1], cases[0])
         return choice(which, cases[1], cases[0])
     chosen = cases[0]
     for number, case in enumerate(cases[1:], start=1):

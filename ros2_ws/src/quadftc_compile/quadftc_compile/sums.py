@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from quadftc_compile.emit import FEW, Emitter, Storage, statement
 from quadftc_compile.graph import VIEWS, Node
-from quadftc_compile.operators import combine
+from quadftc_compile.operators import BITS, combine
 from quadftc_compile.text import Expression, Index, Indices, binary, variable
 
 WRITTEN_OUT = 16  # terms of a sum that are written out in one expression
@@ -25,7 +25,7 @@ Term = Callable[[Indices, Indices], Expression]  # of the indices of the result,
 @statement(*REDUCTIONS)
 def reduce(emitter: Emitter, node: Node, storage: Storage) -> None:
     """Write a reduction over axes."""
-    (x,), axes = node.operands, tuple(node.params["axes"])
+    (x,), axes = node.operands, sorted(node.params["axes"])
     kept = [k for k in range(len(x.shape)) if k not in axes]
 
     def term(at: Indices, inner: Indices) -> Expression:
@@ -90,8 +90,20 @@ def fold(emitter: Emitter, node: Node, storage: Storage, op: str, count: Sequenc
             return emitter.put(storage, shape, at, total)
 
         emitter.each(shape, whole)
+    elif node.size == 1 and node.dtype.kind == "b" and op in BITS:
+        _fold_flags(emitter, node, storage, op, count, term)
     else:
         _fold_in_loops(emitter, node, storage, op, count, term)
+
+
+def _fold_flags(
+    emitter: Emitter, node: Node, storage: Storage, op: str, count: Sequence[int], term: Term
+) -> None:
+    """Write a reduction of flags to one: of all of them, with bits as wide as numbers, in vectors."""
+    first, bits = [Index() for _ in node.shape], emitter.name("v")
+    emitter.line(f"int64_t {bits} = {int(NEUTRAL[op])};")
+    emitter.each(count, lambda inner: f"{bits} {BITS[op]}= {term(first, inner).text};", loop=True)
+    emitter.line(emitter.put(storage, node.shape, first, Expression(f"{bits} != 0")))
 
 
 def _fold_in_loops(

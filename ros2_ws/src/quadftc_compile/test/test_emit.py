@@ -109,6 +109,19 @@ CASES = {
         ),
         (RANDOM.normal(size=(9, 20)),),
     ),
+    "flags": (
+        lambda x: (
+            jnp.isfinite(x).all(),
+            jnp.isfinite(jnp.where(x == x.max(), jnp.nan, x)).all(),
+            (x > x.max()).any(),
+            (x >= x.max()).any(),
+        ),
+        (RANDOM.normal(size=(9, 20)),),
+    ),
+    "choices": (
+        lambda x, f: (jnp.where(f > 0, x, 0.0), jnp.where(f > 0, x[:, :1], -x), (f > 0) & (x > 0), f > 0),
+        (RANDOM.normal(size=(9, 20)), RANDOM.normal(size=20)),
+    ),
     "small sums": (
         lambda x: (x.sum(), x.sum(axis=0), jnp.cumsum(x, axis=1), jnp.argmax(x, axis=1), x.mean()),
         (A,),

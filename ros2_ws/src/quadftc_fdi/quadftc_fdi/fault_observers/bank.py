@@ -187,7 +187,7 @@ class BankObserver(FlightLaw):
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
         b = inference.by_effect(posterior.b * (shares * ~is_sure[..., None, None])[..., None, :, :])
-        shift = (bank.U * b[..., None, None, :, :, :]).sum(axis=(-1, -2, -3)).swapaxes(-1, -2)
+        shift = (bank.U * b[..., None, None, :, :, :]).sum(axis=(-3, -2)).sum(axis=-1).swapaxes(-1, -2)
         flown = motion.moved_by(believed, shift)
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         seen = (
