@@ -15,6 +15,7 @@ Where nobody knows the layout, the model of `identification` tells it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +34,7 @@ FEWEST = 3  # commands in a window
 FLOOR = 0.01  # 1; standard deviation of r, at least: that of Crazyflies from flight to flight
 LEVEL = 4.0  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 2.9
 SOONER = 0.3  # s; by which a loss may begin before it is seen
-# both steps of a loss that ends [standard deviations], and how long it lasts [s]: gusts reach 9 for 2 s
-ENDED, LASTED = 2.0 * LEVEL, 5.0
+ENDED = 2.0 * LEVEL  # standard deviations; of both steps of a loss that ends
 CANDIDATE = 3.0  # standard deviations; of a step that the model of all before it has to confirm
 LEAST, MOST = 0.2, 2.0  # 1; share of the rotor's thrust
 ASIDE = 0.5  # 1; of what r moves by, that may point elsewhere
@@ -65,6 +65,7 @@ class RotorStep(NamedTuple):
     time: Floats  # (n,) [s]
     rest: Floats  # (n, 2) r
     end: float | None = None  # s; None: it lasts
+    spells: int = 1  # how often its thrust is gone
 
 
 class Torque(NamedTuple):
@@ -214,83 +215,178 @@ def _model(torque: Torque, end: float, step: RotorStep | None = None) -> tuple[F
     return fit(torque._replace(flying=before), moved)
 
 
-def _shares(
-    part: Torque, rest: Floats, model: tuple[Floats, Floats], k: NDArray[np.int_], before: int, count: int
-) -> tuple[Floats, Floats, Floats, Mask]:
-    """Compare the steps at rows ``k``, over ``count`` samples less ``before``, with those of each rotor.
+class _Moved(NamedTuple):
+    """How r moves at some rows, as shares of each rotor's thrust, (m, rotors)."""
 
-    Returns, each (m, rotors), the share of its thrust, the same by the least favourable model, its standard
-    deviation, and whether the step points elsewhere.
-    """
-    factors, covariance = model
-    others_only = covariance.copy()
-    others_only[:, SIGNED, :] = others_only[:, :, SIGNED] = 0.0
-    step = steps(rest, k, before, count)
-    unsure = steps(part.columns.reshape(len(rest), 6), k, before, count).reshape(len(k), 2, 3)
-    variance = np.einsum("nak,akl,nal->na", unsure, others_only, unsure) + scatter(step) ** 2 + FLOOR**2
-    least = _least_favourable(step, unsure, factors, covariance)
-    effect = _after(part.commands, k, count)[:, :, None] * part.layout.T  # (m, rotors, 2)
-    power = np.sum(effect**2 / variance[:, None], axis=2) + 1e-12
-    share, sure = (np.einsum("mra,ma->mr", effect, each / variance) / power for each in (step, least))
-    aside = np.linalg.norm(least[:, None] - sure[..., None] * effect, axis=2)
-    far = aside >= ASIDE * np.linalg.norm(least, axis=1)[:, None]
-    return share, sure, 1.0 / np.sqrt(power), far
+    share: Floats
+    sure: Floats  # by the least favourable model
+    sigma: Floats
+    aside: Mask  # whether it points elsewhere
+
+    @property
+    def signed(self) -> Floats:
+        """Standard deviations by which thrust is missing."""
+        return np.asarray(self.sure / self.sigma)
+
+
+class _Begin(NamedTuple):
+    """Where a rotor begins to give less."""
+
+    rotor: int
+    row: int
+    base: slice  # rows before, of what r is otherwise
+    share: float  # by the least favourable model
+    score: float  # standard deviations
+
+
+class _Residual(NamedTuple):
+    """The torque that is asked for in vain, in flight, by a model."""
+
+    part: Torque
+    rest: Floats  # (n, 2) r
+    doubt: Floats  # (n, 2) its variance by the model's
+    factors: Floats
+    covariance: Floats
+
+    def moves(self, k: NDArray[np.int_], before: int | NDArray[np.int_], count: int, usual: float) -> _Moved:
+        """Compare the steps at rows ``k``, over ``count`` samples less ``before``, with those of each rotor.
+
+        ``usual`` is the standard deviation of such steps.
+        """
+        part, covariance = self.part, self.covariance
+        others_only = covariance.copy()
+        others_only[:, SIGNED, :] = others_only[:, :, SIGNED] = 0.0
+        step = steps(self.rest, k, before, count)
+        unsure = steps(part.columns.reshape(-1, 6), k, before, count).reshape(len(k), 2, 3)
+        variance = np.einsum("nak,akl,nal->na", unsure, others_only, unsure) + usual**2 + FLOOR**2
+        least = _least_favourable(step, unsure, self.factors, covariance)
+        effect = _after(part.commands, k, count)[:, :, None] * part.layout.T  # (m, rotors, 2)
+        power = np.sum(effect**2 / variance[:, None], axis=2) + 1e-12
+        share, sure = (np.einsum("mra,ma->mr", effect, each / variance) / power for each in (step, least))
+        aside = np.linalg.norm(least[:, None] - sure[..., None] * effect, axis=2)
+        far = aside >= ASIDE * np.linalg.norm(least, axis=1)[:, None]
+        return _Moved(share, sure, 1.0 / np.sqrt(power), far)
+
+    def missing(self, rotor: int, spell: slice, base: slice) -> float:
+        """Share of a rotor that is missing in a spell, where the model is still sure, against rows before."""
+        effect = self.part.commands[spell, rotor, None] * self.part.layout[:, rotor]
+        weight = 1.0 / (FLOOR**2 + self.doubt[spell])
+        power = float(np.sum(weight * effect**2))
+        gone = self.rest[spell] - self.rest[base].mean(axis=0)
+        return float(np.sum(weight * gone * effect)) / max(power, 1e-12)
+
+    def missing_by_any(self, rotor: int, spell: slice, around: slice) -> float:
+        """Share of a rotor that is missing in a spell, by the J, L and D that fit best to the rows around."""
+        part = self.part
+        gone = np.zeros((len(self.rest), 1))
+        gone[spell] = part.commands[spell, rotor, None]
+        both = np.stack([part.asked, gone * part.layout[:, rotor]], axis=2)[around]  # (n, 2, 2)
+        for axis in range(both.shape[1]):  # what a model leaves of both
+            known = np.column_stack([part.columns[around, axis], np.ones(len(both))])
+            both[:, axis] -= known @ np.linalg.lstsq(known, both[:, axis], rcond=None)[0]
+        asked, effect = both[..., 0], both[..., 1]
+        return float(np.sum(asked * effect)) / max(float(np.sum(effect**2)), 1e-12)
+
+    def back_at(self, begin: _Begin, count: int, usual: float) -> tuple[int, float]:
+        """Return the row at which a lost share of a rotor is there again, and how surely; else the end."""
+        k = np.arange(begin.row + FEWEST, len(self.rest) - FEWEST + 1)
+        if len(k):
+            moved = self.moves(k, np.minimum(k - begin.row, count), count, usual)
+            signed = -moved.signed[:, begin.rotor]
+            there = (-moved.sure[:, begin.rotor] > STAYS * begin.share) & (signed > LEVEL)
+            if there.any():
+                first = int(np.argmax(there))
+                best = first + int(np.argmax(signed[first : first + count]))
+                return int(k[best]), float(signed[best])
+        return len(self.rest), 0.0
+
+    def follow(
+        self, begin: _Begin, before: int, count: int, usual: float
+    ) -> tuple[float | None, int, int | None]:
+        """Follow a rotor that gives less: the share that is missing, until which row, and when r was back.
+
+        No share: r is back without a step as sharp as the first, or by an inertia that the model does not
+        have. No row at which it was back: the rotor stays away.
+        """
+        rotor, row, base, share, score = begin
+        end, least = len(self.rest), STAYS * share
+        whole = self.missing(rotor, slice(row, None), base)
+        stays = whole > least
+        back, sure = self.back_at(begin, count, usual)
+        if back < end and self.missing(rotor, slice(back, None), base) < least:
+            spell, around = slice(row, back), slice(max(row - before, 0), min(back + before, end))
+            within = min(self.missing(rotor, spell, base), self.missing_by_any(rotor, spell, around))
+            if within > least and min(score, sure) > ENDED:
+                return within, back, back
+            if not stays:
+                return None, end, back
+        return (whole if stays else None), end, None
 
 
 def search(torque: Torque, factors: Floats, covariance: Floats, level: float = LEVEL) -> RotorStep | None:
-    """Find the first step of r that a rotor explains and that stays, by a model and its covariance.
+    """Find the first step of r that a rotor explains, by a model and its covariance.
 
-    It may end by a step back, `LASTED` or more after it began. The end of a loss looks like the loss of the
-    rotor that faces it.
+    The thrust stays away, or comes back by a step as sharp, and may go again. The end of a loss is no loss of
+    the rotor that faces it: r is as it was before both.
     """
     period = float(np.median(np.diff(torque.time)))
     part = torque.rows(np.flatnonzero(torque.flying))
     rest = part.asked - np.einsum("nak,ak->na", part.columns, factors)
     doubt = np.einsum("nak,akl,nal->na", part.columns, covariance, part.columns)
-    before, shortest = max(2 * FEWEST, round(BEFORE / period)), max(FEWEST, round(WINDOWS[0] / period))
+    residual = _Residual(part, rest, doubt, factors, covariance)
     best: RotorStep | None = None
     for window in WINDOWS:
-        count = max(FEWEST, round(window / period))
-        k = np.arange(max(FEWEST, round(KNOWN / period)), len(rest) - shortest + 1)
-        if not len(k):
-            continue
-        share, sure, sigma, aside = _shares(part, rest, (factors, covariance), k, before, count)
-        signed = sure / sigma
-        score: Floats = np.where((signed > level) & (sure > LEAST) & (sure < MOST) & ~aside, signed, 0.0)
-        starts: list[int] = np.flatnonzero(score.any(axis=1)).tolist()
-        for first in starts:
-            at = first + int(np.argmax(score[first : first + count].max(axis=1)))
-            rotor = int(np.argmax(score[at]))
-            row, end = int(k[at]), len(rest)
-            whole = _whole(part, rest, doubt, row, before, rotor, end)
-            if whole < STAYS * sure[at, rotor]:  # it may have ended by a step as sharp
-                back = (-signed[:, rotor] > ENDED) & (-sure[:, rotor] > STAYS * sure[at, rotor])
-                back &= (k > row + round(LASTED / period)) & (score[at, rotor] > ENDED)
-                ends: list[int] = np.flatnonzero(back).tolist()
-                if not ends:
-                    continue
-                end = int(k[ends[0] + int(np.argmin(signed[ends[0] : ends[0] + count, rotor]))])
-                whole = _whole(part, rest, doubt, row, before, rotor, end)
-                if whole < STAYS * sure[at, rotor]:
-                    continue
-            others: Floats = score[at].copy()
-            others[rotor] = 0.0
-            second = int(np.argmax(others))
-            found = RotorStep(
-                rotor=rotor,
-                onset=float(part.time[row]),
-                share=min(max(whole, float(share[at, rotor])), 1.0),  # inertia that is too small hides some
-                sigma=float(np.hypot(sigma[at, rotor], 0.5 * (share - sure)[at, rotor])),
-                score=float(score[at, rotor]),
-                second=second if others[second] > NEARLY * score[at, rotor] else None,
-                time=part.time,
-                rest=rest,
-                end=None if end == len(rest) else float(part.time[end]),
-            )
-            if best is None or found.onset < best.onset - window:
-                best = found
-            break
+        spells = list(_spells(residual, period, window, level))
+        if spells and (best is None or spells[0].onset < best.onset - window):
+            own = [each for each in spells if each.rotor == spells[0].rotor]
+            best = own[0]._replace(end=own[-1].end, spells=len(own))
     return best
+
+
+def _spells(residual: _Residual, period: float, window: float, level: float) -> Iterator[RotorStep]:
+    """Find spells in which a rotor gives less, each from a step over a window [s] on."""
+    part, rest = residual.part, residual.rest
+    before, shortest = max(2 * FEWEST, round(BEFORE / period)), max(FEWEST, round(WINDOWS[0] / period))
+    count = max(FEWEST, round(window / period))
+    k = np.arange(max(FEWEST, round(KNOWN / period)), len(rest) - shortest + 1)
+    if not len(k):
+        return
+    usual = scatter(steps(rest, k, before, count))
+    moved = residual.moves(k, before, count, usual)
+    share, sure, signed = moved.share, moved.sure, moved.signed
+    score: Floats = np.where((signed > level) & (sure > LEAST) & (sure < MOST) & ~moved.aside, signed, 0.0)
+    over = origin = 0  # end of the last spell, and where r was as usual before it
+    starts: list[int] = np.flatnonzero(score.any(axis=1)).tolist()
+    for first in starts:
+        at = first + int(np.argmax(score[first : first + count].max(axis=1)))
+        rotor, row = int(np.argmax(score[at])), int(k[at])
+        if row < over:
+            continue
+        known = origin if over > 0 and row < over + before else row
+        begin = _Begin(
+            rotor, row, slice(max(known - before, 0), known), *(each[at, rotor] for each in (sure, score))
+        )
+        whole, stop, back = residual.follow(begin, before, count, usual)
+        if back is not None:
+            over, origin = back, known
+        if whole is None:
+            continue
+        others: Floats = score[at].copy()
+        others[rotor] = 0.0
+        second = int(np.argmax(others))
+        yield RotorStep(
+            rotor=rotor,
+            onset=float(part.time[row]),
+            share=min(max(whole, float(share[at, rotor])), 1.0),  # inertia that is too small hides some
+            sigma=float(np.hypot(moved.sigma[at, rotor], 0.5 * (share - sure)[at, rotor])),
+            score=float(score[at, rotor]),
+            second=second if others[second] > NEARLY * score[at, rotor] else None,
+            time=part.time,
+            rest=rest,
+            end=None if stop == len(rest) else float(part.time[stop]),
+        )
+        if stop == len(rest):
+            return
 
 
 def _least_favourable(step: Floats, columns: Floats, factors: Floats, covariance: Floats) -> Floats:
@@ -310,7 +406,7 @@ def _after(values: Floats, k: NDArray[np.int_], count: int) -> Floats:
     return (total[last] - total[k]) / (last - k)[:, None]
 
 
-def steps(values: Floats, k: NDArray[np.int_], before: int, count: int) -> Floats:
+def steps(values: Floats, k: NDArray[np.int_], before: int | NDArray[np.int_], count: int) -> Floats:
     """Means after each moment less those before it (m, ...)."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     first = np.maximum(k - before, 0)
@@ -320,15 +416,6 @@ def steps(values: Floats, k: NDArray[np.int_], before: int, count: int) -> Float
 def scatter(step: Floats) -> float:
     """Standard deviation of the steps of a flight (m, 2), by its calmer part."""
     return TO_SIGMA * float(np.quantile(np.linalg.norm(step, axis=1), CALM))
-
-
-def _whole(part: Torque, rest: Floats, doubt: Floats, row: int, before: int, rotor: int, end: int) -> float:
-    """Share of a rotor that is missing from a row to another, where the model is still sure."""
-    base = rest[max(row - before, 0) : row].mean(axis=0)
-    effect = part.commands[row:end, rotor, None] * part.layout[:, rotor]
-    weight = 1.0 / (FLOOR**2 + doubt[row:end])
-    power = float(np.sum(weight * effect**2))
-    return float(np.sum(weight * (rest[row:end] - base) * effect)) / max(power, 1e-12)
 
 
 def _begins_to_turn(flight: Flight, torque: Torque, step: RotorStep) -> float:

@@ -99,11 +99,19 @@ def _why_no_loss(flight: Flight, has_rotors: bool, model: Identified | None, sho
 
 def _step_found(step: RotorStep) -> Found:
     others = () if step.second is None else (f"rotor/{step.second + 1}",)
-    said = (
+    said = [
         f"from {step.onset:.2f} s on the vehicle turns as if {100 * step.share:.0f} % of its thrust"
         " were missing;"
-        f" what the controller asks for against it is not followed, by {step.score:.0f} standard deviations",
-    )
+        f" what the controller asks for against it is not followed, by {step.score:.0f} standard deviations"
+    ]
+    if step.spells > 1:
+        until = "the end" if step.end is None else f"{step.end:.2f} s"
+        said.append(
+            f"it is gone {step.spells} times until {until}, as with an ESC out of step or a loose wire"
+        )
+    elif step.end is not None:
+        said.append(f"it is back at {step.end:.2f} s; a push from outside for so long looks the same")
+    pushed = ("push from outside",) if step.spells == 1 and step.end is not None else ()
     lines = {"roll": step.rest[:, 0], "pitch": step.rest[:, 1]}
     return make_found(
         *("rotor", str(step.rotor + 1), "off" if step.share > ALL_OF_IT else "loss", step.onset),
@@ -112,8 +120,8 @@ def _step_found(step: RotorStep) -> Found:
         sigma=step.sigma,
         unit="1",
         probability=confidence(step.score, 0.5 * STEP_LEVEL) * (0.6 if others else 1.0),
-        ambiguous_with=others,
-        evidence=said,
+        ambiguous_with=(*others, *pushed),
+        evidence=tuple(said),
         curve=Curve("torque not followed", "1", step.time, lines),
     )
 
