@@ -327,6 +327,14 @@ def test_log_without_rotors_is_not_enough_to_say_and_says_what_to_set():
     assert "LOG_BITMASK bits 0" in verdict.advice[0]
 
 
+def test_voltage_that_is_not_measured_is_no_matter_of_what_is_logged():
+    battery = healthy().battery
+    log = dataclasses.replace(healthy(), battery=Signal(battery.time, 0.004 * battery.value))
+    verdict = judge(log)
+    assert verdict.outcome == "not enough to say"
+    assert verdict.advice == ("connect what measures the battery, and calibrate its voltage",)
+
+
 def test_rotors_that_are_switched_off_in_the_air_are_no_fault():
     log = fly(stop=20.0, seconds=22.0)
     force, end = log.accelerometers[""], np.array([100.0, 0.0, 0.0])

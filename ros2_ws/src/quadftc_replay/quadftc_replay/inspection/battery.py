@@ -24,6 +24,7 @@ SAG = 0.12  # 1; of the median voltage in flight
 LEFT = 0.25  # 1; share of that by which it has left the usual voltage
 LASTS = 0.3  # s
 BEFORE = 10.0  # s; in which no sound battery falls so far
+UNMEASURED = "nothing flies on that, so the voltage is not measured"
 
 
 def cannot_judge_battery(flight: Flight) -> str | None:
@@ -36,7 +37,7 @@ def cannot_judge_battery(flight: Flight) -> str | None:
     flying = flight.in_flight(battery.time)
     count = int(flying.sum())
     if count >= FEWEST and (usual := float(np.median(battery.value[flying, 0]))) < LEAST:
-        return f"it reads {usual:.3g} V in flight: nothing flies on that, so the voltage is not measured"
+        return f"it reads {usual:.3g} V in flight: {UNMEASURED}"
     return f"{count} samples of the voltage in flight are too few" if count < FEWEST else None
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from quadftc_replay.flight_log import FlightLog, Signal, Watched
+from quadftc_replay.inspection.battery import UNMEASURED
 from quadftc_replay.inspection.causes import reported_failure
 from quadftc_replay.inspection.ending import AT_LIMIT
 from quadftc_replay.inspection.flight import Flight
@@ -74,7 +75,7 @@ def make_verdict(
         not_judged=tuple(missing),
         judged=tuple(judged),
         model=None if model is None else _model(model),
-        advice=() if outcome != "not enough to say" or not _lacks(judged) else (advice_for(log),),
+        advice=tuple(_advice(log, judged, missing)) if outcome == "not enough to say" else (),
         notes=tuple(_notes(flight)),
     )
 
@@ -162,6 +163,15 @@ def _why_not(
 
 def _reason(component: str, missing: Sequence[NotJudged]) -> str:
     return next((each.reason for each in missing if each.component == component), "it is not logged")
+
+
+def _advice(log: FlightLog, judged: Sequence[str], missing: Sequence[NotJudged]) -> Iterator[str]:
+    """Say what to change for the next flight, so that all can be judged."""
+    is_unmeasured = any(UNMEASURED in each.reason for each in missing)
+    if any(each != "battery" or not is_unmeasured for each in _lacks(judged)):
+        yield advice_for(log)
+    if is_unmeasured:
+        yield "connect what measures the battery, and calibrate its voltage"
 
 
 def advice_for(log: FlightLog) -> str:
