@@ -335,6 +335,20 @@ def test_voltage_that_is_not_measured_is_no_matter_of_what_is_logged():
     assert verdict.advice == ("connect what measures the battery, and calibrate its voltage",)
 
 
+@pytest.mark.parametrize(
+    ("sinks", "says"), [(4.0, "it hit the ground at 4 m/s at "), (0.0, "it hit the ground at 24.")]
+)
+def test_impact_is_told_with_the_speed_of_the_fall_if_there_was_one(sinks: float, says: str):
+    log = healthy()
+    falls = np.where(log.velocity.time > 23.0, -sinks, 0.1)[:, None] * [0.0, 0.0, 1.0]
+    forces = {
+        name: Signal(each.time, each.value + (np.abs(each.time - 24.5) < 0.1)[:, None] * [60.0, 0.0, 60.0])
+        for name, each in log.accelerometers.items()
+    }
+    log = dataclasses.replace(log, velocity=Signal(log.velocity.time, falls), accelerometers=forces)
+    assert judge(log).ending.sentence.startswith(says)
+
+
 def test_rotors_that_are_switched_off_in_the_air_are_no_fault():
     log = fly(stop=20.0, seconds=22.0)
     force, end = log.accelerometers[""], np.array([100.0, 0.0, 0.0])

@@ -43,7 +43,7 @@ def ending_of(flight: Flight) -> Ending:
         stops = None
     fall = None if impact is None else _fall_before(log, impact)
     if impact is not None and (stops is None or (fall is not None and fall > FALLS)):
-        at = "" if fall is None else f" at {fall:.0f} m/s"
+        at = "" if fall is None or round(fall) < 1 else f" at {fall:.0f} m/s"
         return _ending("hit the ground", impact, impact, f"it hit the ground{at} at {impact:.2f} s")
     if stops is not None:
         return _ending("landed", stops, impact, f"it landed and stopped its rotors at {stops:.2f} s")
