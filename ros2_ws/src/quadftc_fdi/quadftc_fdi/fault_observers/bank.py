@@ -282,18 +282,19 @@ class BankObserver(FlightLaw):
     ) -> Array:
         """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
 
-        Twice the certainty is needed where only one witness is left: the other sensor without a torque, or
-        the torque without the other sensor. It is needed of an attitude of which the position is ``asked``
-        (..., 3), as that speaks late; of one that returns; and of one that jumps, which must have stayed.
-        Thrice is needed of a push: these hide what began with them. A wild gyro must be so for as long as it
-        takes to hear vibration.
+        Twice the certainty is needed without a torque, and of an attitude without a gyro: only one witness is
+        left. It is needed of an attitude of which the position is ``asked`` (..., 3), as that speaks late; of
+        one that returns; and of one that jumps, which must have stayed. Thrice is needed of a push: these
+        hide what began with them. So it is of a gyro without an attitude, as its name takes that of the
+        attitude back. A wild gyro must be so for as long as it takes to hear vibration.
         """
         few, kind = 1.0 - self.level, modes.KIND
-        last = (modes.CHANGED == modes.GYRO) & ~good_attitude[..., modes.AXIS]
-        last = last | ((kind == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven
+        alone = (modes.CHANGED == modes.GYRO) & ~good_attitude[..., modes.AXIS]
+        last = ((kind == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
         twice = last | stays | (kind == modes.RETURN) | (kind == modes.WILD)
         least = where(twice, few * few, where(modes.IS_FAULT, few, few**3))
+        least = where(alone, few**3, least)
         # a jump of an attitude that repeats the gyro is its estimator's
         takes = ((kind != modes.ATTITUDE) & (kind != modes.RETURN)) | (not self.attitude_from_gyro)
         sure = doubt < least * takes
