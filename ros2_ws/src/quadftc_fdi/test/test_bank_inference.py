@@ -13,7 +13,7 @@ DT, ONSET, END, ROWS, SLOT = 0.01, 30, 70, 90, 0  # s; the slot that the first o
 NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.03)))
 WALK, AXIS = 0.02, 0  # rad/s/sqrt(s)
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
-THERE, BOTH_WELL = np.ones(3, bool), np.zeros(2, bool)
+THERE, NONE, BOTH_WELL = np.ones(3, bool), np.zeros(3, bool), np.zeros(2, bool)
 ALIKE = np.zeros((modes.MODES, sum(SLOTS)))  # log weight
 
 
@@ -261,7 +261,7 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
     bank = inference.open_slots(bank, ALIKE, 0.0)
-    gone = inference.forget(bank, np.array([False, True, False])).age < 0.0
+    gone = inference.forget(bank, np.array([False, True, False]), NONE).age < 0.0
     assert np.array_equal(gone, (modes.AXIS[: modes.EFFECTS] == 1)[:, None] | (bank.age < 0.0))
 
 
@@ -278,12 +278,21 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
 def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other():
     bank = inference.start_bank(np.zeros(3))
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0, square=bank.square + 1.0, count=bank.count + 1.0)
-    after = inference.forget(bank, np.array([True, False, False]))
+    after = inference.forget(bank, np.array([True, False, False]), NONE)
     others = np.array([0.0, 1.0, 1.0])
     for part in (after.J, after.d):
         np.testing.assert_array_equal(part, np.broadcast_to(others[:, None, None], part.shape))
     for part in (after.square, after.count):
         np.testing.assert_array_equal(part, np.broadcast_to(others[:, None], part.shape))
+
+
+def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_does():
+    bank = inference.start_bank(np.zeros(3))
+    bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0)
+    after = inference.forget(bank, NONE, np.array([True, False, False]))
+    again = (modes.KIND == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
+    for part in (after.J, after.d):
+        np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))
 
 
 @pytest.mark.parametrize("sensor", [0, 1])

@@ -48,6 +48,7 @@ from quadftc_fdi.bank.modes import (
     CHANGES,
     EFFECT,
     EFFECTS,
+    GYRO,
     IS_FAULT,
     KIND,
     MORE,
@@ -351,12 +352,17 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     return state._replace(temper=larger(state.temper + news, 1.0), learned=time)
 
 
-def forget(state: Bank, axes: Mask) -> Bank:
+def forget(state: Bank, axes: Mask, alone: Mask) -> Bank:
     """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise.
 
-    Those of other axes lose what these axes have shown: it was of the fault that is believed.
+    Those of other axes lose what these axes have shown: it was of the fault that is believed. A gyro that is
+    ``alone``, as its attitude is not there, needs new evidence: by torque alone all axes look alike.
     """
-    gone = axes[..., AXIS[:EFFECTS]][..., None]
-    J, d = (where(axes[..., None, None, :, None, None], 0.0, part) for part in (state.J, state.d))
-    square, count = (where(axes[..., None, :, None], 0.0, part) for part in (state.square, state.count))
+    own = AXIS[:EFFECTS]
+    gone = axes[..., own][..., None]
+    again = (alone[..., own] & (KIND[:EFFECTS] == GYRO))[..., None]
+    lost = axes[..., :, None, None] | again[..., None, :, :]  # (..., axes, effects, 1)
+    J, d = (where(lost[..., None, None, :, :, :], 0.0, part) for part in (state.J, state.d))
+    heard = (axes | alone)[..., None, :, None]
+    square, count = (where(heard, 0.0, part) for part in (state.square, state.count))
     return state._replace(age=where(gone, NEVER, state.age), J=J, d=d, square=square, count=count)

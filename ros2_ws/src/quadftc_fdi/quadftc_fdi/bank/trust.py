@@ -61,11 +61,12 @@ def acquitted(state: Trust, axes: Mask) -> Trust:
 
 
 def take_over(
-    motion: Motion, bank: Bank, posterior: Posterior, mode: Array, added: Array
+    motion: Motion, bank: Bank, posterior: Posterior, mode: Array, added: Array, alone: Mask
 ) -> tuple[Motion, Bank, Scalar]:
     """Believe the likeliest onset of a mode (..., modes): return motion, bank and age of that onset [s].
 
-    ``added`` (..., 3, effects) is what a faulty attitude adds to its rotation vector.
+    ``added`` (..., 3, effects) is what a faulty attitude adds to its rotation vector. Gyros are ``alone``
+    where there is no attitude.
     """
     xp = namespace(posterior.log_weight)
     own = where(mode[..., None], posterior.log_weight, 2.0 * inference.LOWEST)
@@ -90,7 +91,7 @@ def take_over(
     P = motion.covariance + U.swapaxes(-1, -2) @ spread[..., None, :, :] @ U
     axes = (mode[..., None] & (modes.AXIS[:, None] == np.arange(3))).any(axis=-2)
     age = of(bank.age[..., modes.EFFECT, :])
-    return moved_by(motion, change)._replace(covariance=P), inference.forget(bank, axes), age
+    return moved_by(motion, change)._replace(covariance=P), inference.forget(bank, axes, alone), age
 
 
 def watch_gyro(

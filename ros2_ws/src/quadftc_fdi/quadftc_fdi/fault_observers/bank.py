@@ -133,7 +133,8 @@ class BankObserver(FlightLaw):
         """Advance by ``dt`` [s] to a sample."""
         imu, levels = inputs.imu, noise.noise_of(state.learning)
         attitude_read, gyro_read = self._read(state, imu, dt)
-        speaks = readings.is_witness(attitude_read) & ~state.attitude.faulty, readings.is_witness(gyro_read)
+        alone = ~readings.is_witness(attitude_read)
+        speaks = ~alone & ~state.attitude.faulty, readings.is_witness(gyro_read)
         good_attitude, good_gyro = speaks[0] & column(imu.attitude_valid), speaks[1] & column(imu.rate_valid)
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
         beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
@@ -152,7 +153,9 @@ class BankObserver(FlightLaw):
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
-            lambda: trust.take_over(moved, bank, posterior, named, added),
+            lambda: trust.take_over(
+                moved, bank, posterior, named, added, ~readings.is_witness(attitude_read)
+            ),
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
         attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), _of_gyro(1.0 * named) > 0.0
