@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from quadftc_fdi.bank.inference import Bank, Posterior
 from quadftc_fdi.bank.noise import TIGHT
+from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_fdi.isolation import accelerometer_monitor, free_flight, naming, reading_test, rotor_watch
 from quadftc_fdi.isolation.accelerometer_monitor import LEAST, NOISE, AccelerometerMonitor
 from quadftc_fdi.isolation.free_flight import FreeFlight
@@ -106,7 +107,8 @@ def ask_position(state: Translation, bank: Bank, posterior: Posterior) -> tuple[
     if flight is None:
         return posterior, state.accelerometer.faulty & False
     tilt, own, counts = (part[..., None] for part in free_flight.tilt_of(flight, state.accelerometer))
-    age, lag = larger(bank.age[..., EVERY, :], 0.0), column(column(larger(free_flight.lag_of(flight), 1e-3)))
+    age = larger(bank.age[..., EVERY, :], 0.0)
+    lag = column(column(larger(free_flight.lag_of(flight), SHORTEST)))
     of_size = 1.0 - exp(-age / lag)
     of_slope = age - lag * of_size
     b, C = posterior.b[..., EVERY, :], posterior.covariance[..., EVERY, :]
