@@ -211,11 +211,9 @@ def test_graph_equals_the_closed_loop_where_rotors_are_measured_and_accused(fly_
         assert np.any(flight.torque != fly(other, "conventional").torque)
 
 
-def test_two_runs_give_the_same_messages_by_whichever_executor(tmp_path, fly_graph, busy_scenario):
+def test_two_runs_give_the_same_messages(tmp_path, fly_graph, busy_scenario):
     scenario = with_duration(busy_scenario, 0.9)
-    with ComposedGraph(
-        GraphPlan(node_parameters(scenario), bag=tmp_path / "bag"), executor="single"
-    ) as graph:
+    with ComposedGraph(GraphPlan(node_parameters(scenario), bag=tmp_path / "bag")) as graph:
         graph.run()
     first, second = messages_by_topic(fly_graph(scenario, "proposed")[0]), messages_by_topic(tmp_path / "bag")
     assert len(first["/imu/data"]) > 150

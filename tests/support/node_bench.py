@@ -53,7 +53,7 @@ class NodeBench:
         self._namespace = namespace or None
         self.context = Context()
         self.context.init()
-        self._executor = make_executor("events", self.context)
+        self._executor = make_executor(self.context)
         self._nodes: list[Node] = []
         self._links: list[Callable[[], int]] = []
         self._statuses: dict[str, DiagnosticStatus] = {}

@@ -58,9 +58,6 @@ Out = Annotated[Path | None, typer.Option(help="Directory for the results: JSON,
 def latency(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0, 500.0, 1000.0],  # noqa: B006
     graph: GraphOption = "composed",
-    executor: Annotated[
-        Literal["events", "single"], typer.Option(help="Executor of the composed graph.")
-    ] = "events",
     observer: Observer = "supervised",
     duration: Annotated[
         float | None, typer.Option(min=1.5, help="Length of a flight [s]; default: 20, thorough 60.")
@@ -84,7 +81,7 @@ def latency(
         wait = "sleep" if graph == "processes" or realtime_priority else "poll"
     length = duration or (60.0 if thorough else 20.0)
     scheduling = Scheduling(wait, realtime_priority, tuple(core))
-    forms = {each: part.LatencyOptions(graph, executor, record, each, scheduling) for each in _values(engine)}
+    forms = {each: part.LatencyOptions(graph, record, each, scheduling) for each in _values(engine)}
     results: list[Result] = []
     with StopSignals() as stop, _bars() as bars:
         for each, number, runs in itertools.product(rate, range(repeat), forms):

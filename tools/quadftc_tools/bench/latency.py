@@ -59,7 +59,6 @@ class LatencyOptions:
     """How to measure; ValueError if the scheduling does not suit the graph."""
 
     graph: str = "composed"  # or "processes"
-    executor: str = "events"  # or "single"; of the composed graph
     record: bool = True  # write a bag meanwhile, and throw it away
     engine: str = "c"  # what runs the laws: "c" or "numpy"
     scheduling: Scheduling = ORDINARY
@@ -82,9 +81,7 @@ def measure_latency(
         parameters = node_parameters(scenario, scheme)
         how = {"scheduling": options.scheduling, "engine": options.engine}
         plan = GraphPlan(parameters, "realtime", **paths, **how)
-        processes = options.graph == "processes"
-        chosen = ProcessGraph(plan) if processes else ComposedGraph(plan, executor=options.executor)
-        with chosen as graph:
+        with (ProcessGraph if options.graph == "processes" else ComposedGraph)(plan) as graph:
             if not graph.wait_until_connected(progress):
                 return None
             usage = Usage(_processes(graph))
@@ -205,8 +202,7 @@ def _between(begin: Times, end: Times, stamps: list[int]) -> NDArray[np.int64]:
 def latency_table(results: Sequence[Result]) -> Table:
     """Stages of one rate; of several runs, the medians."""
     first, shown = results[0], (*(f"p{level:g}" for level in PERCENTILES), "max")
-    what = f"{first['graph']}, {first['executor']}" if first["graph"] == "composed" else first["graph"]
-    title = f"{first['rate']:g} Hz, {what}, {first['observer']}: latency [us]"
+    title = f"{first['rate']:g} Hz, {first['graph']}, {first['observer']}: latency [us]"
     table = plain_table(("stage",), shown, title)
     for stage in first["stages"]:
         rows = [item["stages"][stage] for item in results if stage in item["stages"]]

@@ -20,12 +20,7 @@ from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_model.assembly import NodeParameters
 from quadftc_tools.bench.machine import Result
 
-RECORDING, COMPOSED, SINGLE, ALONE = FORMS = (
-    "composed, recording",
-    "composed",
-    "composed, SingleThreadedExecutor",
-    "closed loop without ROS",
-)
+RECORDING, COMPOSED, ALONE = FORMS = ("composed, recording", "composed", "closed loop without ROS")
 MICROSECONDS = 1e6
 
 
@@ -75,7 +70,7 @@ def _graph_times(
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         bag = Path(folder, "bag") if form == RECORDING else None
         plan = GraphPlan(parameters, "lockstep", bag=bag, engine=engine)
-        with ComposedGraph(plan, executor="single" if form == SINGLE else "events") as graph:
+        with ComposedGraph(plan) as graph:
             graph.wait_until_connected()
             busy = time.process_time()
             wall_time = graph.run(progress)

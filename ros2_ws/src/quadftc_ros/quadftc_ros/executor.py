@@ -19,7 +19,7 @@ from typing import Protocol, Self, TypeVar, cast
 import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import ParameterException
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -33,7 +33,6 @@ from quadftc_ros.starting import STOPPING
 
 Hosted = TypeVar("Hosted", bound=Node)
 
-EXECUTORS = ("events", "single")
 LAUNCHER = "QUADFTC_LAUNCHER"  # environment variable: the process whose end ends this one
 NEAR = 100_000  # ns; an executor that sleeps may wake so late
 MAX_WORDS = 1000  # characters of what is said about a wrong parameter
@@ -41,12 +40,8 @@ CLOCK_PERIOD, SET_BACK = 0.02, 5_000_000  # s, ns; how often the machine's clock
 POLL = 0.25  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
 
 
-def make_executor(kind: str = "events", context: Context | None = None) -> Executor:
-    """Make an executor: ``events`` (fast) or ``single`` (rclpy's default)."""
-    if kind not in EXECUTORS:
-        raise ValueError(f"executor = {kind!r}: expected one of {', '.join(EXECUTORS)}")
-    if kind == "single":
-        return SingleThreadedExecutor(context=context)
+def make_executor(context: Context | None = None) -> Executor:
+    """Make an executor of events, whose timers go on when the clock of the machine is set back."""
     executor = EventsExecutor(context=context)
     threading.Thread(target=_outlive_clocks, args=(weakref.ref(executor),), daemon=True).start()
     return executor
@@ -77,11 +72,11 @@ def _wind_up(executor: Executor) -> None:
 class NodeHost:
     """Nodes in a context of their own, with the keys of a name, and what serves them; a context manager."""
 
-    def __init__(self, name: str, executor: str = "events") -> None:
+    def __init__(self, name: str) -> None:
         self._context = Context()
         # what the process was called with is not meant for the nodes
         self._context.init(args=["--ros-args", *enclave_arguments(name)])
-        self._executor = make_executor(executor, self._context)
+        self._executor = make_executor(self._context)
         self._nodes: list[Node] = []
 
     def __enter__(self) -> Self:

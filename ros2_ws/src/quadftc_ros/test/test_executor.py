@@ -9,7 +9,6 @@ import time
 import pytest
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.executors import SingleThreadedExecutor
 
 from node_bench import PATIENCE
 from quadftc_ros.executor import LAUNCHER, Pace, StopSignals, make_executor
@@ -56,13 +55,6 @@ def start(*arguments, late="", **environment):
         stderr=subprocess.PIPE,
         text=True,
     )
-
-
-def test_kind_of_executor_is_chosen_by_name(bench):
-    assert isinstance(make_executor("single", bench.context), SingleThreadedExecutor)
-    assert not isinstance(make_executor("events", bench.context), SingleThreadedExecutor)
-    with pytest.raises(ValueError, match="executor = 'multi': expected one of events, single"):
-        make_executor("multi")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -133,20 +125,6 @@ def test_node_stops_when_its_launcher_is_no_more():
     assert output.endswith("destroyed\n")
 
 
-def test_single_executor_runs_a_node_as_the_fast_one_does(bench):
-    executor = make_executor("single", bench.context)
-    ticks = []
-    timer = bench.tester.create_timer(0.001, lambda: ticks.append(1))
-    executor.add_node(bench.tester)
-    end = time.monotonic() + PATIENCE
-    while len(ticks) < 3 and time.monotonic() < end:
-        executor.spin_once(timeout_sec=0.1)
-    executor.remove_node(bench.tester)
-    executor.shutdown()
-    bench.tester.destroy_timer(timer)
-    assert len(ticks) >= 3
-
-
 class Clockwork:
     """Something to be done every 10 ms of the monotonic clock, a number of times."""
 
@@ -166,10 +144,9 @@ class Clockwork:
         self.times.append(time.monotonic_ns())
 
 
-@pytest.mark.parametrize("kind", ["events", "single"])
 @pytest.mark.parametrize("poll", [False, True])
-def test_pace_acts_when_it_is_due_and_serves_the_nodes_meanwhile(bench, kind, poll):
-    executor = make_executor(kind, bench.context)
+def test_pace_acts_when_it_is_due_and_serves_the_nodes_meanwhile(bench, poll):
+    executor = make_executor(bench.context)
     served = []
     timer = bench.tester.create_timer(0.002, lambda: served.append(1))
     executor.add_node(bench.tester)
@@ -188,7 +165,7 @@ def test_pace_acts_when_it_is_due_and_serves_the_nodes_meanwhile(bench, kind, po
 
 
 def test_pace_ends_with_its_time_when_nothing_is_due(bench):
-    executor = make_executor("events", bench.context)
+    executor = make_executor(bench.context)
     begin = time.monotonic()
     Pace(executor, [Clockwork(0)], poll=False).spin(0.05)
     executor.shutdown()
@@ -196,7 +173,7 @@ def test_pace_ends_with_its_time_when_nothing_is_due(bench):
 
 
 def test_clock_that_is_set_back_wakes_an_executor_and_its_timers(bench, monkeypatch):
-    executor = make_executor("events", bench.context)
+    executor = make_executor(bench.context)
     timer = bench.tester.create_timer(
         2 * PATIENCE, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME)
     )

@@ -78,7 +78,7 @@ def record(
     given = parameters(directory=str(directory), mode=mode, topics=topics)
     recorder = RecorderNode(context=context, parameter_overrides=given, namespace=namespace)
     sender = Node("sender", context=context, namespace=namespace)
-    executor = make_executor("events", context)
+    executor = make_executor(context)
     executor.add_node(recorder)
     publishers = [
         sender.create_publisher(
@@ -140,7 +140,7 @@ def test_realtime_stores_best_effort_topics_by_the_time_of_arrival(context, name
 def test_lockstep_leaves_out_what_is_sent_before_the_flight(context, namespace, tmp_path):
     given = parameters(directory=str(tmp_path / "run"), mode="lockstep", topics=["fault/status"])
     recorder = RecorderNode(context=context, parameter_overrides=given, namespace=namespace)
-    executor = make_executor("events", context)
+    executor = make_executor(context)
     executor.add_node(recorder)
     publisher = recorder.create_publisher(
         load_message_class(TOPICS["fault/status"].type_name), "fault/status", 10

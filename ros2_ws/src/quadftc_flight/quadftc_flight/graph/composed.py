@@ -36,16 +36,16 @@ NODE_CLASSES: dict[str, type[Any]] = {
 class ComposedGraph(Graph):
     """All nodes of plans, each of a vehicle in a namespace of its own, in this process; a context manager.
 
-    ``executor`` is ``events`` or ``single``; ``tap`` gets a copy of what all nodes publish. Wrong
-    parameters of a node, a bag that cannot be made, and two vehicles in one namespace are a ValueError.
+    ``tap`` gets a copy of what all nodes publish. Wrong parameters of a node, a bag that cannot be made, and
+    two vehicles in one namespace are a ValueError.
     """
 
-    def __init__(self, *plans: GraphPlan, executor: str = "events", tap: Tap | None = None) -> None:
+    def __init__(self, *plans: GraphPlan, tap: Tap | None = None) -> None:
         names = [plan.namespace.strip("/") for plan in plans]
         if len(set(names)) < len(names) or not names:
             raise ValueError(f"vehicles: {len(names)} in the namespaces {', '.join(sorted(set(names)))}")
         prepare_laws(plans)
-        super().__init__(executor)
+        super().__init__()
         self._plan, self._tap = plans[0], tap
         self._vehicles: list[dict[str, Any]] = []  # the nodes of each by name, its recorder among them
         try:

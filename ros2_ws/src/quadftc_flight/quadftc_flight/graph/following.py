@@ -23,8 +23,8 @@ ALONE = "another graph runs in this ROS domain; stop it, or set another ROS_DOMA
 class Graph(NodeHost, abc.ABC):
     """A graph that is running; a context manager, which closes it."""
 
-    def __init__(self, executor: str) -> None:
-        super().__init__("launcher", executor)
+    def __init__(self) -> None:
+        super().__init__("launcher")
         self.exit_code = 0  # the worst of the processes, once they were stopped
         self._slice = Slice(self._executor)
         self._begun = False  # whether there is anything to be kept

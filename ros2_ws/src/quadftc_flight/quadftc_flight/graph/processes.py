@@ -88,7 +88,7 @@ class ProcessGraph(Graph):
     def __init__(self, plan: GraphPlan) -> None:
         prepare_laws([plan])
         remove_leftovers()
-        super().__init__("events")
+        super().__init__()
         self.plan = plan
         self.children = Children()
         self._counts: dict[str, dict[str, int]] = {}
