@@ -6,8 +6,11 @@ machine only. scripts/lib/env.sh sets the same. Whoever sets ROS_AUTOMATIC_DISCO
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterable, MutableMapping
+import re
+import socket
+from collections.abc import MutableMapping
 from pathlib import Path
 
 RANGE, PROFILE, MIDDLEWARE = (
@@ -18,6 +21,7 @@ RANGE, PROFILE, MIDDLEWARE = (
 LOOPBACK = Path(__file__).resolve().with_name("loopback.xml")
 ENCLAVE = "/quadftc"  # below it each node has its keys, by the policy in quadftc_bringup
 BY_PROFILE = "SYSTEM_DEFAULT"  # the range with which Fast DDS goes by its profile alone
+LISTENS = "0A"  # state of a TCP socket in /proc/net/tcp
 
 
 def stay_local(environment: MutableMapping[str, str] = os.environ) -> None:
@@ -68,26 +72,33 @@ def reach(environment: MutableMapping[str, str] = os.environ) -> str:
     return f"ROS domain {domain}, found by {words.get(found, found)}; SROS2 {secured}"
 
 
-def open_addresses(process: int | str = "self") -> set[str]:
-    """Return the local addresses to which UDP sockets of a process are bound; OSError where /proc is not."""
-    files = Path(f"/proc/{process}/fd")
-    sockets = {link for file in files.iterdir() if (link := _target(file)).startswith("socket:")}
-    rows = (line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:])
-    return {_address(row[1]) for row in rows if f"socket:[{row[9]}]" in sockets}
+def open_sockets(process: int | str = "self") -> list[str]:
+    """Return the sockets of a process that others than this machine can reach, such as 'udp 0.0.0.0:5501'.
+
+    TCP sockets that listen, and UDP sockets that are bound to more than loopback and have no peer.
+    """
+    inodes, folder = set[str](), Path("/proc", str(process))
+    with contextlib.suppress(OSError):
+        for link in (folder / "fd").iterdir():
+            with contextlib.suppress(OSError):
+                if found := re.fullmatch(r"socket:\[(\d+)\]", str(link.readlink())):
+                    inodes.add(found[1])
+    opened: list[str] = []
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        with contextlib.suppress(OSError):
+            for line in (folder / "net" / table).read_text().splitlines()[1:]:
+                words = line.split()
+                local, peer, state, inode = words[1], words[2], words[3], words[9]
+                address, port = _address(local)
+                is_open = state == LISTENS if table.startswith("tcp") else peer.endswith(":0000")
+                if inode in inodes and is_open and not address.startswith(("127.", "::1")):
+                    opened.append(f"{table} {address}:{port}")
+    return sorted(opened)
 
 
-def outside(addresses: Iterable[str]) -> list[str]:
-    """Return the addresses that are not on the loopback."""
-    return sorted(address for address in addresses if not address.startswith("127."))
-
-
-def _target(file: Path) -> str:
-    try:
-        return str(file.readlink())
-    except OSError:  # closed meanwhile
-        return ""
-
-
-def _address(place: str) -> str:
-    """Return the address of a hexadecimal ``ADDRESS:PORT``, least byte first."""
-    return ".".join(str(byte) for byte in bytes.fromhex(place.partition(":")[0])[::-1])
+def _address(text: str) -> tuple[str, int]:
+    """Return address and port of an entry of /proc/net, words of 32 bits in the machine's byte order."""
+    digits, _, port = text.partition(":")
+    raw = b"".join(bytes.fromhex(digits[at : at + 8])[::-1] for at in range(0, len(digits), 8))
+    family = socket.AF_INET if len(raw) == 4 else socket.AF_INET6
+    return socket.inet_ntop(family, raw), int(port, 16)

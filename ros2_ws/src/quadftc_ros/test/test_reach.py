@@ -1,41 +1,66 @@
 """Nodes are bound to the loopback, whatever else the environment says, until a range is asked for."""
 
+import ast
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from quadftc_ros.reach import LOOPBACK, PROFILE, RANGE, is_bound, open_to_network, outside, reach, stay_local
+from quadftc_ros.reach import (
+    LOOPBACK,
+    PROFILE,
+    RANGE,
+    is_bound,
+    open_sockets,
+    open_to_network,
+    reach,
+    stay_local,
+)
 
 ROOT = Path(__file__).resolve().parents[4]
 NODE = """
 import rclpy
 rclpy.init()
 node = rclpy.create_node("alone")
-print(*__import__("quadftc_ros.reach").reach.open_addresses())
+print(__import__("quadftc_ros.reach").reach.open_sockets())
 """
 
 
-def addresses_of_a_node(environment):
-    """Where the sockets of a process with a node are."""
+def open_sockets_of_a_node(environment):
+    """Those of a process with a node that other machines reach."""
     kept = {key: value for key, value in os.environ.items() if key not in (RANGE, PROFILE)}
     done = subprocess.run(
         [sys.executable, "-c", NODE], env=kept | environment, capture_output=True, check=True
     )
-    return {*done.stdout.decode().split()}
+    return ast.literal_eval(done.stdout.decode())
 
 
 @pytest.mark.skipif(not Path("/proc/net/udp").exists(), reason="no /proc")
 def test_all_sockets_of_a_node_are_on_the_loopback():
     environment = {}
     stay_local(environment)
-    assert addresses_of_a_node(environment) == {"127.0.0.1"}
+    assert open_sockets_of_a_node(environment) == []
     assert "127.0.0.1" in reach(environment)
     open_to_network(environment)
     assert environment == {RANGE: "SUBNET"}
-    assert outside(addresses_of_a_node(environment))  # what the test reads is there
+    assert open_sockets_of_a_node(environment)  # what the test reads is there
+
+
+def test_only_sockets_that_others_can_reach_are_named():
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as everywhere,
+        socket.create_server(("0.0.0.0", 0)) as server,
+    ):
+        here.bind(("127.0.0.1", 0))
+        everywhere.bind(("0.0.0.0", 0))
+        found = open_sockets()
+        assert f"udp 0.0.0.0:{everywhere.getsockname()[1]}" in found
+        assert f"tcp 0.0.0.0:{server.getsockname()[1]}" in found
+        assert not any(line.endswith(f":{here.getsockname()[1]}") for line in found)
 
 
 @pytest.mark.parametrize(

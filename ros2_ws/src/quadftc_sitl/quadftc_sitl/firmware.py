@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -23,8 +22,6 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 OUTPUT, PARAMETERS = "output.txt", "parameters.parm"  # files in its folder
 TAIL = 12  # lines of its output that an error shows
 PATIENCE = 3.0  # s; from being asked to end until it is killed
-LISTENS = "0A"  # state of a TCP socket in /proc/net/tcp
-
 
 # becomes the firmware, which the kernel kills with us; no fork of a process that has threads of JAX
 START = f"""
@@ -135,35 +132,3 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
 def parameter_file(parameters: Mapping[str, float]) -> str:
     """Write parameters, a name and a number a line."""
     return "".join(f"{name} {value:.10g}\n" for name, value in parameters.items())
-
-
-def open_sockets(pid: int, proc: Path = Path("/proc")) -> list[str]:
-    """Return the sockets of a process that others than this machine can reach, such as 'udp 0.0.0.0:5501'.
-
-    TCP sockets that listen, and UDP sockets that are bound to more than loopback and have no peer.
-    """
-    inodes: set[str] = set()
-    with contextlib.suppress(OSError):
-        for link in (proc / str(pid) / "fd").iterdir():
-            with contextlib.suppress(OSError):
-                if found := re.fullmatch(r"socket:\[(\d+)\]", str(link.readlink())):
-                    inodes.add(found[1])
-    opened: list[str] = []
-    for table in ("tcp", "tcp6", "udp", "udp6"):
-        with contextlib.suppress(OSError):
-            for line in (proc / str(pid) / "net" / table).read_text().splitlines()[1:]:
-                words = line.split()
-                local, peer, state, inode = words[1], words[2], words[3], words[9]
-                address, port = _address(local)
-                is_open = state == LISTENS if table.startswith("tcp") else peer.endswith(":0000")
-                if inode in inodes and is_open and not address.startswith(("127.", "::1")):
-                    opened.append(f"{table} {address}:{port}")
-    return sorted(opened)
-
-
-def _address(text: str) -> tuple[str, int]:
-    """Return address and port of an entry of /proc/net, words of 32 bits in the machine's byte order."""
-    digits, _, port = text.partition(":")
-    raw = b"".join(bytes.fromhex(digits[at : at + 8])[::-1] for at in range(0, len(digits), 8))
-    family = socket.AF_INET if len(raw) == 4 else socket.AF_INET6
-    return socket.inet_ntop(family, raw), int(port, 16)

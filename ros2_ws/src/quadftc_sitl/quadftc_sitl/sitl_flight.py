@@ -25,14 +25,10 @@ from quadftc_flight.junit import write_file
 from quadftc_flight.summary import Summary
 from quadftc_model.samples import DiagnosisReport
 from quadftc_model.versions import software_version
+from quadftc_ros.reach import open_sockets
 from quadftc_sim.autopilot import Shown
 from quadftc_sitl.autopilot import Server
-from quadftc_sitl.firmware import (
-    PARAMETERS,
-    Firmware,
-    open_sockets,
-    parameter_file,
-)
+from quadftc_sitl.firmware import PARAMETERS, Firmware, parameter_file
 from quadftc_sitl.guardian import Guardian
 from quadftc_sitl.link import MavlinkLink
 from quadftc_sitl.physics import Fate, Physics

@@ -4,7 +4,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -18,7 +17,6 @@ from quadftc_flight.scenario import ScenarioError
 from quadftc_flight.scenario.document import parse_document
 from quadftc_sitl import physics, pilot
 from quadftc_sitl.catalogue import job_of, write_lost
-from quadftc_sitl.firmware import open_sockets
 from quadftc_sitl.journal import Event
 from quadftc_sitl.plan import plan_of_text, plans_of_catalogue, read_parameters
 from quadftc_sitl.scoring import describe_faults, is_it, noticed
@@ -166,20 +164,6 @@ def test_firmware_ends_with_us_even_when_we_are_killed(tmp_path):
             return
         time.sleep(0.05)
     pytest.fail("it runs on")
-
-
-def test_only_sockets_that_others_can_reach_are_named():
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as everywhere,
-        socket.create_server(("0.0.0.0", 0)) as server,
-    ):
-        here.bind(("127.0.0.1", 0))
-        everywhere.bind(("0.0.0.0", 0))
-        found = open_sockets(os.getpid())
-        assert f"udp 0.0.0.0:{everywhere.getsockname()[1]}" in found
-        assert f"tcp 0.0.0.0:{server.getsockname()[1]}" in found
-        assert not any(line.endswith(f":{here.getsockname()[1]}") for line in found)
 
 
 @pytest.mark.parametrize(
