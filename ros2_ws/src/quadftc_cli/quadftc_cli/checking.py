@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,6 @@ def check_target(
     parts: Mapping[str, str],
     changes: tuple[Sequence[str], str],
     bag: Path | None,
-    output: Literal["imu", "angles"],
     sensors: str | None,
     as_json: bool,
 ) -> bool:
@@ -58,12 +57,12 @@ def check_target(
     recorded = bag or (path if is_bag else None)
     if recorded is None:
         scenario = with_components(load_scenario(find_scenario(target), overrides, gains), **parts)
-        report = check_scenario(scenario, scenario.scheme(scheme or None), output)
+        report = check_scenario(scenario, scenario.scheme(scheme or None))
     else:
         if any((scheme, *parts.values(), gains, *overrides)):
             wrong = "a recorded run is judged as it was flown; no scheme, parts, --gains, --set"
             raise BagError(f"{recorded}: {wrong}")
-        report = _check_recorded(recorded, target if bag is not None else "", output)
+        report = _check_recorded(recorded, target if bag is not None else "")
     if as_json:
         say(json.dumps(report.to_dict(), indent=2, allow_nan=False))
     else:
@@ -71,13 +70,13 @@ def check_target(
     return report.passed
 
 
-def _check_recorded(recorded: Path, asked: str, output: Literal["imu", "angles"]) -> CheckReport:
+def _check_recorded(recorded: Path, asked: str) -> CheckReport:
     """Check a recorded run, of the scenario asked for, if any."""
     run = read_run(find_run(recorded))
     warn(run.warnings)
     if asked and (name := load_scenario(find_scenario(asked), []).name) != run.scenario.name:
         raise BagError(f"{recorded}: is a run of scenario '{run.scenario.name}', not of '{name}'")
-    return check_run(run, output)
+    return check_run(run)
 
 
 def print_vehicle(name: str, as_json: bool = False) -> None:

@@ -65,37 +65,32 @@ class CheckReport:
         return json.loads(to_json(found, inf_nan_mode="null", fallback=lambda scalar: scalar.item()))
 
 
-def check_scenario(scenario: Scenario, scheme: Scheme, output: str = "imu") -> CheckReport:
-    """Judge a scheme in a scenario, without flying it.
-
-    ``output`` is the output of the model (6) that is judged: ``imu``, or ``angles`` as in the paper.
-    """
-    return _check(scenario, scheme, circumstances(scenario, scheme), output)
+def check_scenario(scenario: Scenario, scheme: Scheme) -> CheckReport:
+    """Judge a scheme in a scenario, without flying it."""
+    return _check(scenario, scheme, circumstances(scenario, scheme))
 
 
-def check_run(run: RecordedRun, output: str = "imu") -> CheckReport:
+def check_run(run: RecordedRun) -> CheckReport:
     """Judge the scheme of a recorded run: with the bounds of the recording, and along it."""
     trace = trace_of_run(run)
     given = circumstances_of_run(run, trace)
-    report = _check(run.scenario, run.scheme, given, output)
+    report = _check(run.scenario, run.scheme, given)
     laws = (run.scheme.observer.law, run.scheme.controller.law)
     found = tuple(item for law in laws for item in judge(law, given, along=trace))
     along = (Section("along the recorded run", found),) if found else ()
     return dataclasses.replace(report, bag=str(run.path), sections=report.sections + along)
 
 
-def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str) -> CheckReport:
+def _check(scenario: Scenario, scheme: Scheme, given: Circumstances) -> CheckReport:
     roles = ("fault observer", "disturbance observer", "controller")
     parts = (scheme.observer, scheme.disturbance_observer, scheme.controller)
     sections = [
         Section(f"{role}: {part.kind}", tuple(judge(part.law, given)))
         for role, part in zip(roles, parts, strict=True)
     ]
-    asked = output != "imu"
-    if asked or scheme.observer.kind != "none":
-        title = "the paper's own set-up, y = (roll, pitch, yaw), q = 3" + ("" if asked else "; not used here")
-        model = attitude_model(output if asked else "angles")
-        sections.append(Section(title, tuple(structure_conditions(model, needed=asked))))
+    if scheme.observer.kind != "none":
+        title = "the paper's own set-up, y = (roll, pitch, yaw), q = 3; not used here"
+        sections.append(Section(title, tuple(structure_conditions(attitude_model("angles"), needed=False))))
     if scenario.plant.flies:
         found = tuple(rotor_conditions(given.vehicle, _rotors_off(scenario)))
         sections.append(Section("rotors: what the vehicle flies on without", found))

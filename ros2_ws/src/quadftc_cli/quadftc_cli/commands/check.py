@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
@@ -29,10 +29,6 @@ def check(
     bag: Annotated[
         Path | None, Option(help="Recorded run: its bounds, and the Lyapunov functions along it.")
     ] = None,
-    output: Annotated[
-        Literal["imu", "angles"],
-        Option(help="Model output y: angles and rates, or the paper's angles alone."),
-    ] = "imu",
     isolability: Annotated[
         bool, Option("--isolability", help="Instead: which faults can be detected and told apart.")
     ] = False,
@@ -48,5 +44,5 @@ def check(
 
     parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
     instead = sensors if isolability else None
-    if not check_target(target, scheme, parts, (set_, gains), bag, output, instead, as_json):
+    if not check_target(target, scheme, parts, (set_, gains), bag, instead, as_json):
         raise typer.Exit(CHECK_FAILED)
