@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from quadftc_flight.diagnosis_metrics.columns import Metrics
 from quadftc_flight.metrics import entries, known_metrics, look_up
-from quadftc_flight.scenario import Check, Problem, Scenario, problems_of, read_document
+from quadftc_flight.scenario import Check, Problem, Scenario
 from quadftc_model.samples import AXES
 from quadftc_model.spec import parse_spec
 
@@ -28,29 +27,8 @@ class CheckResult(NamedTuple):
     passed: bool
 
 
-class _ChecksFile(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-    checks: tuple[Check, ...] = Field(min_length=1)
-
-
-def checks_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Check, ...]:
-    """Read the checks of YAML files (the key ``checks`` of a scheme), and after them specifications.
-
-    A specification is such as ``tracking_rmse_deg axis=roll below=0.1``. A ValueError says what is wrong.
-    """
-    return (*(check for file in files for check in _read_checks(file)), *map(_parse_check, specs))
-
-
-def _read_checks(file: Path) -> tuple[Check, ...]:
-    document = read_document(file)
-    try:
-        return _ChecksFile.model_validate(document.data).checks
-    except ValidationError as error:
-        raise document.error(problems_of(error, lambda path: Check if path else _ChecksFile)) from None
-
-
-def _parse_check(spec: str) -> Check:
+def parse_check(spec: str) -> Check:
+    """Read a check such as ``tracking_rmse_deg axis=roll below=0.1``; a ValueError says what is wrong."""
     metric, values = parse_spec(spec)
     try:
         given = {key: float(str(value)) if key in BOUNDS else value for key, value in values.items()}

@@ -1,4 +1,4 @@
-"""Checks from files and from the command line, and what became of them as JUnit XML."""
+"""Checks from the command line, and what became of them as JUnit XML."""
 
 import errno
 import re
@@ -7,16 +7,14 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from quadftc_flight.checks import check_results, checks_from
+from quadftc_flight.checks import check_results, parse_check
 from quadftc_flight.junit import Case, check_cases, write_file, write_junit
 
 METRICS = {"lost": False, "missed": 2, "rmse": {"roll": 0.1, "pitch": 0.3, "yaw": None}}
 
 
-def test_checks_come_from_files_and_then_from_specifications(tmp_path):
-    file = tmp_path / "bounds.yaml"
-    file.write_text("checks:\n  - {metric: rmse, axis: roll, below: 0.2}\n", encoding="utf-8")
-    checks = checks_from([file], ["missed above=-1 below=2", "rmse below=0.2"])
+def test_checks_are_held_on_each_axis():
+    checks = map(parse_check, ("rmse axis=roll below=0.2", "missed above=-1 below=2", "rmse below=0.2"))
     results = check_results(METRICS, checks)
     assert [(each.metric, each.axis, each.passed) for each in results] == [
         ("rmse", "roll", True),
@@ -38,19 +36,12 @@ def test_checks_come_from_files_and_then_from_specifications(tmp_path):
 )
 def test_wrong_specification_is_refused_in_one_line(spec, said):
     with pytest.raises(ValueError, match=re.escape(said)) as refused:
-        checks_from([], [spec])
+        parse_check(spec)
     assert "\n" not in str(refused.value)
 
 
-def test_file_without_checks_is_refused(tmp_path):
-    file = tmp_path / "bounds.yaml"
-    file.write_text("bounds: []\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"bounds.yaml:1: bounds: unknown key"):
-        checks_from([file], [])
-
-
 def test_junit_counts_what_failed_and_what_was_not_judged(tmp_path):
-    checks = [each._asdict() for each in check_results(METRICS, checks_from([], ["rmse below=0.2"]))]
+    checks = [each._asdict() for each in check_results(METRICS, [parse_check("rmse below=0.2")])]
     cases = [
         *check_cases("a-run", checks),
         *check_cases("other", []),

@@ -43,10 +43,6 @@ SkipBackwards = Annotated[bool, Option("--skip-backwards", help="Leave out sampl
 Out = Annotated[Path, Option(help="Directory of the replays.", metavar="DIR")]
 Force = Annotated[bool, Option("--force", help="Replace an earlier replay of the same name.")]
 Check = Annotated[list[str], Option(metavar="SPEC", help=CHECK_HELP)]
-CheckFiles = Annotated[
-    list[Path],
-    Option(metavar="FILE.yaml", help="Hold it to the checks of a file: the key checks of a scheme."),
-]
 
 
 def replay(
@@ -65,7 +61,6 @@ def replay(
     out: Out = Path("results"),
     force: Force = False,
     check: Check = [],  # noqa: B006
-    checks: CheckFiles = [],  # noqa: B006
     junit: options.JunitOption = None,
     engine: options.EngineOption = "c",
 ) -> int:
@@ -73,10 +68,10 @@ def replay(
 
     Beside the bag, summary.json says how good the estimates are. The exit code is 1 if a check fails.
     """
-    options.ask_for_files(bag, *faults, *checks)
+    options.ask_for_files(bag, *faults)
     from quadftc_cli.judging import judge
     from quadftc_cli.metric_table import axis_table, diagnosis_table
-    from quadftc_flight.checks import checks_from
+    from quadftc_flight.checks import parse_check
     from quadftc_replay.plan import ReplayOptions
     from quadftc_replay.readers import LogChoice
     from quadftc_replay.ros_output import replay as replay_recording
@@ -91,7 +86,7 @@ def replay(
         fault_files=tuple(faults),
         seed=seed,
         skip_backwards=skip_backwards,
-        checks=checks_from(checks, check),
+        checks=tuple(map(parse_check, check)),
         engine=engine,
     )
     with Bars(console()) as bars:
