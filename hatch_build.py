@@ -1,4 +1,7 @@
-"""What the wheel carries besides sources: on Linux x86-64 the laws of all scenarios, compiled.
+"""What the wheel carries besides sources: the laws of all scenarios, compiled.
+
+On Linux x86-64 they are compiled for any x86-64. With the variable `CC` that compiler makes them, anywhere on
+Linux, and its target is that of the wheel. `scripts/wheels` makes the wheels of a release.
 
 Called by hatchling, and by itself as a script in a process of its own: ``hatch_build.py FOLDER``.
 """
@@ -19,8 +22,9 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).parent
 NEEDED = ("jax", "numpy", "pydantic", "pyyaml", "ruamel-yaml")  # to load and trace the scenarios
-HAS_COMPILER = any(map(shutil.which, ("cc", "gcc", "clang")))
-CARRIES = HAS_COMPILER and (sys.platform, platform.machine()) == ("linux", "x86_64")
+CC = os.environ.get("CC", "")
+HAS_COMPILER = platform.machine() == "x86_64" and any(map(shutil.which, ("cc", "gcc", "clang")))
+CARRIES = sys.platform == "linux" and (CC != "" or HAS_COMPILER)
 NO_C = 3  # the exit code where the compiler does not work; a law that cannot be compiled stops the build
 
 
@@ -46,7 +50,7 @@ class CarryHook(BuildHookInterface):
         paths = [*map(str, ROOT.glob("ros2_ws/src/quadftc_*")), *filter(None, here)]
         env = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1"}
         told = subprocess.run(
-            [sys.executable, __file__, folder], env=env, stderr=subprocess.PIPE, text=True, check=False
+            [sys.executable, __file__, folder], env=env, capture_output=True, text=True, check=False
         )
         if told.returncode not in (0, NO_C):
             raise RuntimeError(f"laws cannot be compiled:\n{told.stderr}")
@@ -54,7 +58,7 @@ class CarryHook(BuildHookInterface):
             self.app.display_warning(f"the wheel carries no compiled laws: {told.stderr}")
             return
         build_data["force_include"][folder] = "quadftc_compile/carried"
-        build_data["pure_python"], build_data["tag"] = False, "py3-none-linux_x86_64"
+        build_data["pure_python"], build_data["tag"] = False, f"py3-none-linux_{told.stdout}"
 
 
 def _is_installed(name: str) -> bool:
@@ -66,21 +70,21 @@ def _is_installed(name: str) -> bool:
 
 
 def main(folder: Path) -> None:
-    """Compile the laws of the scenarios, with each of their schemes, into a folder."""
-    from quadftc_compile.build import PORTABLE, BuildError
-    from quadftc_compile.carry import carry
+    """Compile the laws of the scenarios, with each of their schemes, into a folder; print the machine."""
+    from quadftc_compile.build import BuildError
+    from quadftc_compile.carry import carry, portable_compiler
     from quadftc_compile.wiring import compile_conductor
     from quadftc_flight.closed_loop import loop_of
     from quadftc_flight.scenario import load_scenario
 
     try:
-        compile_conductor(*PORTABLE)
+        compile_conductor(cc := portable_compiler(CC))
     except BuildError as error:  # a compiler without headers, say
         sys.stderr.write(f"{error}\n")
-        sys.exit(NO_C)
+        sys.exit(1 if CC else NO_C)
     scenarios = [load_scenario(path) for path in sorted(ROOT.glob("scenarios/*.yaml"))]
     loops = [loop_of(each, each.scheme(name)) for each in scenarios for name in each.schemes]
-    carry((law for loop in loops for law in loop.laws.values()), folder)
+    sys.stdout.write(carry((law for loop in loops for law in loop.laws.values()), folder, cc))
 
 
 if __name__ == "__main__":

@@ -192,7 +192,7 @@ def test_c_does_nothing_undefined(name, tmp_path):
     (tmp_path / f"{recipe.name}.h").write_text(program.header)
     driver = "static const double zero = 0.0;" + DRIVER.format(**kinds)
     (tmp_path / "main.c").write_text(f'#include "{recipe.name}.h"\n{program.source}\n{driver}')
-    command = [compiler()[0], "-std=c99", "-g", "-O1", *EXACT, *SANITIZE, "main.c", "-o", "main", "-lm"]
+    command = [*compiler().command, "-std=c99", "-g", "-O1", *EXACT, *SANITIZE, "main.c", "-o", "main", "-lm"]
     subprocess.run(command, cwd=tmp_path, check=True)
     rng, inputs, output = (
         np.random.default_rng(5),

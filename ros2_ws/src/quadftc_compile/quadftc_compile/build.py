@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from quadftc_compile import cache
-from quadftc_compile.fingerprint import compiler, fingerprint, sources_of, tracer
+from quadftc_compile.fingerprint import Compiler, compiler, fingerprint, sources_of, tracer
 from quadftc_compile.layout import Layout, layout_of
 from quadftc_compile.recipe import Recipe
 from quadftc_model.numbers import structure_of
@@ -27,8 +27,7 @@ X86 = ("-march=native", "-mno-fma", "-mno-fma4", "-mno-avx512f")
 NATIVE = X86 if platform.machine() in ("x86_64", "i686") else ("-mcpu=native",)
 # all that makes loops of arrays fast; -O3 takes three times as long for the statements of a large law
 LOOPS = ("-O1", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-fpeel-loops", "-funswitch-loops")
-PORTABLE = ("-march=x86-64", "-mtune=generic")  # behind NATIVE: any x86-64
-LIBRARY = ("-std=c99", *EXACT, *NATIVE, "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
+LIBRARY = ("-std=c99", *EXACT, "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
 NO_TRACER = "JAX is not installed, which traces laws: pip install 'quadftc[batch]'"
 FORMAT = 2  # of records; another one for another way to call
 
@@ -80,7 +79,7 @@ def key_of(recipe: Recipe) -> str:
 
 def cache_key(key: str) -> str:
     """Return the key under which this machine keeps what has a key: tracer and compiler join it."""
-    return fingerprint(key, LIBRARY, LOOPS, tracer(), compiler())
+    return fingerprint(key, LIBRARY, NATIVE, LOOPS, tracer(), compiler())
 
 
 def find_library(recipe: Recipe) -> Library | None:
@@ -127,8 +126,8 @@ def what_is_missing() -> str | None:
     return None if compiler() is not None else "there is no C compiler that works (cc, gcc or clang)"
 
 
-def make_library(recipe: Recipe, more: tuple[str, ...] = ()) -> tuple[bytes, cache.Record]:
-    """Trace a law and compile its C, with ``more`` flags; return library and record."""
+def make_library(recipe: Recipe, cc: Compiler | None = None) -> tuple[bytes, cache.Record]:
+    """Trace a law and compile its C as `compile_c`; return library and record."""
     missing = what_is_missing()
     if missing is not None:
         raise BuildError(missing)
@@ -140,7 +139,7 @@ def make_library(recipe: Recipe, more: tuple[str, ...] = ()) -> tuple[bytes, cac
     except ValueError as error:
         raise BuildError(str(error)) from None
     traced, before = time.process_time(), os.times()
-    library = compile_c(recipe.name, program.header, program.source, more)
+    library = compile_c(recipe.name, program.header, program.source, cc)
     spent = sum(os.times()[2:4]) - sum(before[2:4])  # s, of the compiler
     facts = {
         "statements": {key: each.statements for key, each in program.functions.items()},
@@ -163,22 +162,26 @@ def make_library(recipe: Recipe, more: tuple[str, ...] = ()) -> tuple[bytes, cac
     return library, record
 
 
-def compile_c(name: str, header: str, source: str, more: tuple[str, ...] = ()) -> bytes:
-    """Return the library of a program, built with ``more`` flags; BuildError: what the compiler says."""
-    found = compiler()
+def compile_c(name: str, header: str, source: str, cc: Compiler | None = None) -> bytes:
+    """Return the library of a program; BuildError: what the compiler says.
+
+    ``cc`` is called as it is; without it, the compiler of this machine makes a library for this processor.
+    """
+    found = cc or compiler()
     if found is None:
         raise BuildError(f"{name}: there is no C compiler that works (cc, gcc or clang)")
-    flags = (*LIBRARY, *(("-O2",) if "clang" in found[1] else LOOPS), *more)
+    machine = NATIVE if cc is None else ()
+    flags = (*LIBRARY, *machine, *(("-O2",) if "clang" in found.version else LOOPS))
     try:
         with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
             place = Path(folder)
             (place / f"{name}.h").write_text(header, encoding="utf-8")
             (place / f"{name}.c").write_text(f'#include "{name}.h"\n\n{source}', encoding="utf-8")
-            command = [found[0], *flags, "-o", f"{name}.so", f"{name}.c", "-lm"]
+            command = [*found.command, *flags, "-o", f"{name}.so", f"{name}.c", "-lm"]
             told = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
             if told.returncode:
                 words = (told.stderr.strip().splitlines() or ["no words"])[0]
-                raise BuildError(f"{name}: {found[0]} fails with code {told.returncode}: {words}")
+                raise BuildError(f"{name}: {found.command[0]} fails with code {told.returncode}: {words}")
             return (place / f"{name}.so").read_bytes()
     except OSError as error:
         raise BuildError(f"{name}: {error}") from None

@@ -24,6 +24,7 @@ Record = Mapping[str, Any]  # what a library is, in plain data
 
 RECORD, LIBRARY = ".json", ".so"
 CARRIED = Path(__file__).parent / "carried"  # in a wheel alone
+MACHINES = {62: "x86_64", 183: "aarch64"}  # of what a wheel carries; e_machine of ELF
 
 
 class CacheError(OSError):
@@ -97,7 +98,15 @@ def store_entry(key: str, library: bytes, record: Record) -> Path:
 
 def store_carried(folder: Path, key: str, library: bytes, record: Record) -> None:
     """Put an entry for a wheel into a folder; OSError if it cannot be written."""
-    _store(folder, key, platform.machine(), library, record)
+    _store(folder, key, machine_of(library), library, record)
+
+
+def machine_of(library: bytes) -> str:
+    """Return what `platform.machine` says where a library runs; ValueError if that is not in `MACHINES`."""
+    machine = MACHINES.get(int.from_bytes(library[18:20], "little"))
+    if not library.startswith(b"\x7fELF\x02") or machine is None:
+        raise ValueError(f"not a 64-bit library of Linux for any of {', '.join(MACHINES.values())}")
+    return machine
 
 
 def _store(folder: Path, key: str, made_for: str, library: bytes, record: Record) -> Path:

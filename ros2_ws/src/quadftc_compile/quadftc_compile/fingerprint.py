@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 # import a.b.c / from a.b import (c, d)
 IMPORT = re.compile(
@@ -18,6 +19,13 @@ IMPORT = re.compile(
 )
 
 WRITERS = {"quadftc_compile.program", "quadftc_compile.build"}
+
+
+class Compiler(NamedTuple):
+    """How a C compiler is called, and its version."""
+
+    command: tuple[str, ...]
+    version: str
 
 
 def fingerprint(*parts: object) -> str:
@@ -80,15 +88,16 @@ def _file_of(name: str) -> Path | None:
 
 
 @functools.cache
-def compiler() -> tuple[str, str] | None:
-    """Return path and version of the C compiler; None if there is none."""
-    for name in ("cc", "gcc", "clang"):
-        path = shutil.which(name)
+def compiler(*given: str) -> Compiler | None:
+    """Return the C compiler: that of a command with arguments, else cc, gcc or clang; None if none works."""
+    for words in [given] if given else [("cc",), ("gcc",), ("clang",)]:
+        path = shutil.which(words[0])
         if path is None:
             continue
-        told = subprocess.run([path, "--version"], capture_output=True, text=True, check=False)
+        command = (path, *words[1:])
+        told = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
         if told.returncode == 0 and told.stdout:
-            return path, told.stdout.splitlines()[0]
+            return Compiler(command, told.stdout.splitlines()[0])
     return None
 
 

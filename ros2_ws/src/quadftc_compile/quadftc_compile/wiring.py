@@ -22,7 +22,7 @@ import numpy as np
 from quadftc_compile import cache
 from quadftc_compile.build import BuildError, Library, cache_key, compile_c
 from quadftc_compile.engine import CEngine
-from quadftc_compile.fingerprint import fingerprint
+from quadftc_compile.fingerprint import Compiler, fingerprint
 from quadftc_compile.layout import Layout, layout_of, leaves_of, unflatten
 from quadftc_compile.memory import Memory, Rows
 from quadftc_compile.runner import numbers_in, write_numbers
@@ -118,9 +118,9 @@ def conductor() -> Callable[[int, int, int, int, int], None]:
     return function
 
 
-def compile_conductor(*more: str) -> bytes:
-    """Return the library of the conductor, built with ``more`` flags."""
-    return compile_c("conductor", HEADER, SOURCE, more)
+def compile_conductor(cc: Compiler | None = None) -> bytes:
+    """Return the library of the conductor; ``cc`` as in `compile_c`."""
+    return compile_c("conductor", HEADER, SOURCE, cc)
 
 
 def _conductor() -> ctypes.CDLL:

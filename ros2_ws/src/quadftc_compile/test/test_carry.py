@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -13,8 +14,8 @@ import numpy as np
 import pytest
 
 from quadftc_compile import cache, engine, fingerprint, wiring
-from quadftc_compile.build import BuildError, build_library, find_library, key_of
-from quadftc_compile.carry import carry
+from quadftc_compile.build import NATIVE, BuildError, build_library, find_library, key_of
+from quadftc_compile.carry import carry, portable_compiler
 from quadftc_compile.engine import CEngine
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.runner import CRunner
@@ -29,7 +30,7 @@ LAWS = (LowPass(), Rotation())
 @pytest.fixture(scope="module")
 def carried(tmp_path_factory):
     folder = tmp_path_factory.mktemp("carried")
-    carry(LAWS, folder)
+    assert carry(LAWS, folder, portable_compiler()) == platform.machine()
     return folder
 
 
@@ -96,7 +97,8 @@ def test_one_that_does_not_fit_is_not_flown(bare, damage):
     elif damage == "gone":
         library.unlink()
     elif damage == "libc":  # no library that this machine can load
-        cache.store_carried(bare, key_of(recipe), b"\x7fELF", json.loads(record.read_text(encoding="utf-8")))
+        content = json.loads(record.read_text(encoding="utf-8"))
+        cache.store_carried(bare, key_of(recipe), library.read_bytes()[:64], content)
     else:
         change(record, **{damage: "another"})
     assert find_library(recipe) is None
@@ -107,6 +109,33 @@ def test_one_that_does_not_fit_is_not_flown(bare, damage):
         "flies in NumPy, which is slower: "
         "JAX is not installed, which traces laws: pip install 'quadftc[batch]'"
     ]
+
+
+CROSS = """#!{python}
+import pathlib, subprocess, sys
+if "--version" in sys.argv:
+    sys.exit(print("cross 1.0"))
+assert sys.argv[1:3] == ["-target", "aarch64"] and not {native} & {{*sys.argv}}
+subprocess.run(["{cc}", *sys.argv[3:]], check=True)
+library = pathlib.Path(sys.argv[sys.argv.index("-o") + 1])
+content = library.read_bytes()
+library.write_bytes(content[:18] + b"\\xb7\\0" + content[20:])
+"""
+
+
+def test_libraries_are_for_the_machine_that_a_given_compiler_compiles_for(tmp_path):
+    cross, laws = tmp_path / "cross", tmp_path / "laws"
+    laws.mkdir()
+    values = {"python": sys.executable, "cc": fingerprint.compiler().command[0], "native": {*NATIVE}}
+    cross.write_text(CROSS.format(**values), encoding="utf-8")
+    cross.chmod(0o755)
+    assert carry((LowPass(),), laws, portable_compiler(f"{cross} -target aarch64")) == "aarch64"
+    records = [json.loads(path.read_text(encoding="utf-8")) for path in laws.glob("*.json")]
+    assert [record["processor"] for record in records] == ["aarch64", "aarch64"]  # conductor and law
+    with pytest.raises(BuildError, match="no-such-cc"):
+        portable_compiler("no-such-cc -s")
+    with pytest.raises(ValueError, match="x86_64, aarch64"):
+        cache.machine_of(b"\xcf\xfa\xed\xfe" + bytes(60))  # of macOS
 
 
 def test_a_law_with_other_sources_or_structure_is_not_there(bare, tmp_path):

@@ -16,6 +16,7 @@ import pytest
 from quadftc_compile import cache, engine
 from quadftc_compile.build import BuildError, build_library, find_library, key_of
 from quadftc_compile.engine import CEngine, engine_named
+from quadftc_compile.fingerprint import Compiler
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.runner import CRunner
 from quadftc_model.stepper import NumpyRunner, Stepper
@@ -221,7 +222,7 @@ def test_a_compiler_that_fails_is_quoted(monkeypatch, tmp_path):
     broken = tmp_path / "cc"
     broken.write_text("#!/bin/sh\necho 'no such flag' >&2; exit 4\n", encoding="utf-8")
     broken.chmod(0o755)
-    monkeypatch.setattr("quadftc_compile.build.compiler", lambda: (str(broken), "broken 1.0"))
+    monkeypatch.setattr("quadftc_compile.build.compiler", lambda: Compiler((str(broken),), "broken 1.0"))
     law = LowPass()
     with pytest.raises(BuildError, match="fails with code 4: no such flag"):
         build_library(recipe_of(law, law.example()))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from quadftc_compile.build import compile_c
+from quadftc_compile.fingerprint import compiler
 from quadftc_compile.program import write_program
 from quadftc_compile.recipe import recipe_of
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
@@ -58,9 +59,12 @@ def test_what_is_prepared_is_a_number_with_its_meaning():
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
-def test_no_compiler_warns_of_it(recipe, real):
+def test_no_compiler_warns_of_it(recipe, real, tmp_path):
     program = write_program(recipe.name, recipe.law, recipe.functions, real)
-    assert compile_c("warned", program.header, program.source, STRICT)
+    (tmp_path / "warned.h").write_text(program.header, encoding="utf-8")
+    (tmp_path / "warned.c").write_text(program.source, encoding="utf-8")
+    command = [*compiler().command, *STRICT, "-include", "warned.h", "warned.c"]
+    assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
     for word in ("malloc", "printf", "goto", "static double v", "static float v"):
         assert word not in program.source
     assert ("double" in program.source) == (real == "double")
