@@ -125,7 +125,7 @@ def test_flies_in_c_that_it_carries_and_says_nothing(call, tmp_path):
     ("arguments", "remedy"),
     [
         (("live",), "ROS 2"),
-        (("replay", "x.mcap"), "ROS 2"),
+        (("replay", __file__), "ROS 2"),  # any file that is there
         (("serve",), "quadftc[serve]"),
         (("campaign", ROOT / "campaigns/mems_faults.yaml"), "quadftc[batch]"),
         (("export", "sliding_mode", "--vehicle", "x500", "--out", "law"), "quadftc[batch]"),
