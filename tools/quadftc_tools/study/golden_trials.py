@@ -170,7 +170,7 @@ def _run_law(law: FaultObserver, flight: Recorded, driven: bool) -> FaultEstimat
 
 def _judge_flight(flyer: LoopFlyer, campaign: Campaign, number: int, observer: str) -> Verdict:
     """Fly a flight of a campaign in C, the observer at its defaults in the first scheme."""
-    variant = Variant(observer, campaign.variants[0].scheme, observer, None)
+    variant = Variant(observer, campaign.variants[0].scheme, observer)
     scenario = flight_scenario(campaign, number, variant)
     scheme = scenario.scheme(None)
     loop, count = loop_of(scenario, scheme), sample_count(scenario.duration, scenario.rate)

@@ -13,11 +13,9 @@ source: {kind: loop}               # loop: the closed loop. Or the fault observe
                                    # with name, set, flights, seed, vary and one of the schemes alone
 flights: 1000
 seed: 1
-schemes: [supervised]              # of the scenario, or all; or observers and controllers to cross:
+schemes: [supervised]              # of the scenario, or all; each with every observer that is named:
 observers: [sliding_mode, supervised]    # or all: every registered fault observer; or others: not crossed,
                                          # but the first scheme also with every one that no scheme has
-parameters: {supervised: {recovery: 1 s}}            # of observers named there, beside the scenario's
-controllers: [ismc, pid]
 vary:
   faults.0.value: {uniform: [0.5 deg, 5 deg], sign: random}
   faults.*.start: {uniform: [10 s, 20 s]}            # of each fault
@@ -57,7 +55,6 @@ from quadftc_campaign.batch.records import ROOTS, VARIATION
 from quadftc_campaign.campaign_checks import CampaignCheck, wrong_checks
 from quadftc_campaign.distributions import GRID, Distribution, distribution
 from quadftc_campaign.workers import has_accelerator
-from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.scenario import (
     MAX_SEED,
@@ -82,7 +79,7 @@ COSTS = (*ROOTS, VARIATION)  # metrics that tuning can lower
 ALL = "all"
 OTHERS = "others"
 SITL = "sitl"
-NOT_IN_SITL = ("observers", "parameters", "controllers", "precision", "checks", "tune")
+NOT_IN_SITL = ("observers", "precision", "checks", "tune")
 
 
 class _Keys(BaseModel):
@@ -144,8 +141,6 @@ class CampaignKeys(_Keys):
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
     schemes: list[str] | Literal["all"] = []
     observers: list[str] | Literal["all", "others"] = []
-    parameters: dict[str, dict[str, Any]] = {}
-    controllers: list[str] = []
     vary: dict[VaryingPath, Drawn] = {}
     precision: Literal["float64", "float32"] = "float64"
     checks: list[CampaignCheck] = []
@@ -153,13 +148,11 @@ class CampaignKeys(_Keys):
 
 
 class Variant(NamedTuple):
-    """What a flight is flown with: a scheme of the scenario, some of its parts replaced."""
+    """What a flight is flown with: a scheme of the scenario, or one with another observer."""
 
     name: str
     scheme: str
-    observer: str | None  # None: the scheme's
-    controller: str | None
-    parameters: tuple[tuple[str, object], ...] = ()  # of the observer
+    observer: str | None = None  # None: the scheme's
 
 
 class Campaign(CampaignKeys):
@@ -211,7 +204,7 @@ def load_campaign(
     problems = [*_find_unknown_parts(keys, scenario), *_find_unsuited(keys, scenario, engine)]
     bags, missing = _find_bags(path, keys, recordings)
     problems += missing
-    # paths with a star become one for each fault; schemes, observers and controllers are crossed
+    # paths with a star become one for each fault; schemes and observers are crossed
     given: dict[str, Any] = dict(keys)
     given |= {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
     given |= {"vary": _expand_paths(keys, base, problems), "variants": _variants(keys, scenario)}
@@ -310,41 +303,29 @@ def _find_not_flown(keys: CampaignKeys, by_firmware: bool) -> Iterator[Problem]:
 
 
 def _find_unknown_parts(keys: CampaignKeys, scenario: Scenario) -> Iterator[Problem]:
-    if keys.observers == OTHERS and keys.controllers:
-        yield Problem(("observers",), "'others' cannot be crossed with controllers")
-    known = {"schemes": tuple(scenario.schemes), "controllers": controllers.names()}
-    known |= dict.fromkeys(("observers", "parameters"), fault_observers.names())
-    for key, there in known.items():
+    for key, there in (("schemes", tuple(scenario.schemes)), ("observers", fault_observers.names())):
         given = getattr(keys, key)
         names = [] if given in (ALL, OTHERS) else list(given)
         for index, name in enumerate(names):
             if name not in there:
-                place = name if isinstance(given, dict) else index
-                yield Problem((key, place), f"no '{name}'; there are: {', '.join(there)}")
+                yield Problem((key, index), f"no '{name}'; there are: {', '.join(there)}")
             elif name in names[:index]:
                 yield Problem((key, index), f"'{name}' is given twice")
 
 
 def _variants(keys: CampaignKeys, scenario: Scenario) -> tuple[Variant, ...]:
-    """Schemes, crossed with observers and controllers where some are named."""
+    """Schemes, crossed with observers where some are named."""
     given = list(scenario.schemes) if keys.schemes == ALL else keys.schemes
     schemes = [name for name in given if name in scenario.schemes] or [next(iter(scenario.schemes))]
     every = [name for name in fault_observers.names() if name != NO_OBSERVER]
     if keys.observers == OTHERS:  # the schemes as they are, and the first with what none of them has
         flown = {scenario.schemes[name].observer.kind for name in schemes}
-        others = ((name, keys.parameters.get(name, {})) for name in every if name not in flown)
-        as_they_are = [Variant(name, name, None, None) for name in schemes]
-        return (*as_they_are, *(Variant(n, schemes[0], n, None, tuple(p.items())) for n, p in others))
-    named = every if keys.observers == ALL else keys.observers
-    observers = [(name, keys.parameters.get(name, {})) for name in named]
+        others = (Variant(name, schemes[0], name) for name in every if name not in flown)
+        return (*(Variant(name, name) for name in schemes), *others)
+    observers = every if keys.observers == ALL else keys.observers
     own_scheme = len(schemes) > 1 or keys.source.kind == "loop" or not observers
     return tuple(
-        Variant(
-            "+".join(filter(None, (scheme if own_scheme else None, observer, controller))),
-            *(scheme, observer, controller),
-            tuple(parameters.items()),
-        )
+        Variant("+".join(filter(None, (scheme if own_scheme else None, observer))), scheme, observer)
         for scheme in schemes
-        for observer, parameters in observers or [(None, {})]
-        for controller in keys.controllers or [None]
+        for observer in observers or [None]
     )

@@ -282,8 +282,7 @@ def _describe(campaign: Campaign, chunks: int) -> dict[str, object]:
     }
     if source.kind != "loop":
         bags = [bag.name for bag in campaign.recordings]
-        parameters = [[list(pair) for pair in variant.parameters] for variant in campaign.variants]
-        manifest |= {"source": [source.kind, repr(source.delay), *bags], "parameters": parameters}
+        manifest |= {"source": [source.kind, repr(source.delay), *bags]}
     return manifest
 
 

@@ -72,10 +72,8 @@ def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenar
     try:
         document = flight_document(campaign, number)
         scheme = dict(document.data["schemes"][variant.scheme])
-        parts = {"observer": (variant.observer, variant.parameters), "controller": (variant.controller, ())}
-        for role, (kind, parameters) in parts.items():
-            if kind is not None:
-                scheme[role] = _replace(scheme.get(role), kind, parameters)
+        if variant.observer is not None:
+            scheme["observer"] = _replaced(scheme.get("observer"), variant.observer)
         scheme["checks"] = []
         document.data["schemes"] = {variant.scheme: scheme}
         return build_scenario(document)
@@ -118,9 +116,7 @@ def _schedule(campaign: Campaign, path: str, value: Value) -> Value:
     return schedule | cast("dict[str, object]", value)
 
 
-def _replace(given: object, kind: str, parameters: tuple[tuple[str, object], ...]) -> object:
+def _replaced(given: object, kind: str) -> object:
     """A part by its name; with the parameters that the scenario gives if it is the one that was there."""
-    spec = cast("dict[str, object]", given) if isinstance(given, dict) else {"kind": given}
-    if not parameters:
-        return cast("object", given) if spec.get("kind") == kind else kind
-    return {**(spec if spec.get("kind") == kind else {"kind": kind}), **dict(parameters)}
+    is_it = isinstance(given, dict) and cast("dict[str, object]", given).get("kind") == kind
+    return cast("object", given) if is_it else kind

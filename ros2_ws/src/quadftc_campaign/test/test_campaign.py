@@ -34,7 +34,8 @@ sensors: {grade: mems}
 faults:
   - {kind: bias, axes: roll, value: 1 deg, start: 0.1 s, stop: 0.3 s}
 schemes:
-  plain: {controller: smc}
+  smc: {controller: smc}
+  pid: {controller: pid}
 """
 CAMPAIGN = """
 name: short
@@ -42,8 +43,7 @@ scenario: base.yaml
 set: [duration=0.4 s]
 flights: 12
 seed: 7
-schemes: [plain]
-controllers: [smc, pid]
+schemes: [smc, pid]
 vary:
   faults.0.start: {uniform: [0.1 s, 0.2 s]}
   faults.0.value: {uniform: [1 deg, 5 deg], sign: random}
@@ -54,8 +54,8 @@ vary:
 # The same with one structure, which each process compiles once.
 ALIKE = "\n".join(
     line
-    for line in CAMPAIGN.splitlines()
-    if not line.startswith(("controllers:", "  rate:", "  faults.0.axes:"))
+    for line in CAMPAIGN.replace("[smc, pid]", "[smc]").splitlines()
+    if not line.startswith(("  rate:", "  faults.0.axes:"))
 )
 
 
@@ -143,14 +143,34 @@ def test_a_distribution_that_is_none_is_refused(raw, message):
         distribution(raw)
 
 
+def test_schemes_fly_with_each_observer_that_is_named(tmp_path):
+    text = CAMPAIGN.replace("schemes:", "observers: [none, threshold]\nschemes:")
+    given = '"schemes.smc.observer={kind: threshold, recovery_time: 0.5 s}"'
+    campaign = written(tmp_path, text.replace("duration=0.4 s", f"duration=0.4 s, {given}"))
+    assert [each.name for each in campaign.variants] == [
+        "smc+none",
+        "smc+threshold",
+        "pid+none",
+        "pid+threshold",
+    ]
+    parts = [flight_scenario(campaign, 0, each).scheme(each.scheme) for each in campaign.variants]
+    assert [(each.observer.kind, each.controller.kind) for each in parts] == [
+        ("none", "smc"),
+        ("threshold", "smc"),
+        ("none", "pid"),
+        ("threshold", "pid"),
+    ]
+    assert parts[1].observer.law.recovery_time == 0.5 != parts[3].observer.law.recovery_time
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (("flights: 12", "flights: 0"), r"campaign.yaml:\d+: flights: 0: "),
         (("flights: 12", "flihgts: 12"), "flihgts: unknown key"),
         (("scenario: base.yaml", "scenario: nothing_such"), "scenario: no scenario 'nothing_such'"),
-        (("controllers: [smc, pid]", "controllers: [smc, pdi]"), r"controllers\[1\]: no 'pdi'"),
-        (("schemes: [plain]", "schemes: [plein]"), r"schemes\[0\]: no 'plein'"),
+        (("schemes: [smc, pid]", "schemes: [smc, pdi]"), r"schemes\[1\]: no 'pdi'"),
+        (("schemes: [smc, pid]", "observers: [supervized]"), r"observers\[0\]: no 'supervized'"),
         (
             ("uniform: [1 deg, 5 deg]", "uniform: [5 deg, 1 deg]"),
             r"uniform: low 5, high 1: an empty range",
@@ -165,8 +185,8 @@ def test_a_distribution_that_is_none_is_refused(raw, message):
             r"checks\[0\].metric: no metric 'tracking_rms_deg' \(did you mean 'tracking_rmse_deg'\?\)",
         ),
         (
-            ("vary:", "checks: [{metric: faults.all.mised, below: 1, variants: [plein]}]\nvary:"),
-            r"(?s)'faults.all.mised': expected one of .*variants: no 'plein'; there are: plain\+smc",
+            ("vary:", "checks: [{metric: faults.all.mised, below: 1, variants: [pdi]}]\nvary:"),
+            r"(?s)'faults.all.mised': expected one of .*variants: no 'pdi'; there are: smc",
         ),
     ],
 )
@@ -363,7 +383,7 @@ def test_a_full_disk_is_said_in_one_line(alike, tmp_path, monkeypatch):
 
 
 def test_a_variant_or_flight_that_is_not_there_is_refused(campaign):
-    with pytest.raises(CampaignError, match="no variant 'x'; there are: plain\\+smc"):
+    with pytest.raises(CampaignError, match="no variant 'x'; there are: smc"):
         variant_of(campaign, "x")
     with pytest.raises(CampaignError, match="no flight 12; there are 0 to 11"):
         flight_scenario(campaign, 12, campaign.variants[0])

@@ -66,9 +66,9 @@ def checked(campaign: Campaign) -> Gains:
     """Return the gains that a campaign says to tune, as they are; an error if they cannot be tuned."""
     names = _keys(campaign).gains
     first, *others = campaign.variants
-    if others or first.observer or first.controller:
+    if others or first.observer:
         source = campaign.document.source
-        raise CampaignError(f"{source}: tune: one scheme is tuned, without observers or controllers to cross")
+        raise CampaignError(f"{source}: tune: one scheme is tuned, without observers to cross")
     return gains_of(campaign, build_scenario(campaign.base).scheme(first.scheme), names)
 
 
