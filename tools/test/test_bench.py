@@ -223,3 +223,9 @@ def test_every_registered_law_has_its_costs_where_it_can_fly():
 def test_wrong_arguments_are_refused_in_one_line(capfd, arguments):
     assert guarded(["bench", *arguments]) == 2
     assert "error: " in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("part", ["latency", "lockstep"])
+def test_help_shows_units(capfd, part):
+    assert guarded(["bench", part, "--help"]) == 0
+    assert "Length of a flight [s]." in " ".join(capfd.readouterr().out.split())

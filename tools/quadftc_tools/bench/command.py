@@ -45,11 +45,14 @@ class Runs(str, enum.Enum):
 
 
 bench = typer.Typer(
-    help="Measure how fast it is, on this machine: each within two minutes, or with --thorough for longer.",
+    help="Measure how fast it is, on this machine: each within two minutes.",
     no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,  # else units in brackets vanish from the help
 )
 
 Observer = Annotated[str, typer.Option(help="Fault observer.")]
+Repeat = Annotated[int, typer.Option(min=1, help="How often; medians are shown.")]
 Engines = Annotated[list[Runs], typer.Option("--engine", help="What runs the laws; several in turn.")]
 Out = Annotated[Path | None, typer.Option(help="Directory for the results: JSON, and a figure of latencies.")]
 
@@ -59,10 +62,8 @@ def latency(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0, 500.0, 1000.0],  # noqa: B006
     graph: GraphOption = "composed",
     observer: Observer = "supervised",
-    duration: Annotated[
-        float | None, typer.Option(min=1.5, help="Length of a flight [s]; default: 20, thorough 60.")
-    ] = None,
-    repeat: Annotated[int, typer.Option(min=1, help="How often; medians are shown.")] = 1,
+    duration: Annotated[float, typer.Option(min=1.5, help="Length of a flight [s].")] = 20.0,
+    repeat: Repeat = 1,
     record: Annotated[bool, typer.Option(help="Record a bag meanwhile.")] = True,
     engine: Engines = [Runs.c],  # noqa: B006
     wait: Annotated[
@@ -71,7 +72,6 @@ def latency(
     ] = None,
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
-    thorough: Annotated[bool, typer.Option("--thorough", help="Longer: over three minutes.")] = False,
     out: Out = None,
 ) -> None:
     """From the stamp of an IMU sample to its torque, stage by stage, in real time: a bit over a minute."""
@@ -79,14 +79,13 @@ def latency(
 
     if wait is None:
         wait = "sleep" if graph == "processes" or realtime_priority else "poll"
-    length = duration or (60.0 if thorough else 20.0)
     scheduling = Scheduling(wait, realtime_priority, tuple(core))
     forms = {each: part.LatencyOptions(graph, record, each, scheduling) for each in _values(engine)}
     results: list[Result] = []
     with StopSignals() as stop, _bars() as bars:
         for each, number, runs in itertools.product(rate, range(repeat), forms):
-            scenario = _scenario(observer, length, each)
-            bar = bars.add_task(f"{each:g} Hz, {runs}, {number + 1} of {repeat}", total=length * each)
+            scenario = _scenario(observer, duration, each)
+            bar = bars.add_task(f"{each:g} Hz, {runs}, {number + 1} of {repeat}", total=duration * each)
             bars.refresh()  # not in flight: drawing would take milliseconds from it
 
             def follow(samples: int, bar: TaskID = bar) -> bool:
@@ -109,27 +108,21 @@ def lockstep(
     scenario: Annotated[str, typer.Option(help="Scenario to fly, by its first scheme.")] = SCENARIO,
     observer: Observer = "sliding_mode",
     engine: Engines = [Runs.c, Runs.numpy],  # noqa: B006
-    duration: Annotated[
-        float | None, typer.Option(min=0.5, help="Length of a flight [s]; default: 10, thorough 20.")
-    ] = None,
-    repeat: Annotated[
-        int | None, typer.Option(min=1, help="How often; medians are shown. Default: 3, thorough 5.")
-    ] = None,
-    thorough: Annotated[bool, typer.Option("--thorough", help="Longer: about two minutes.")] = False,
+    duration: Annotated[float, typer.Option(min=0.5, help="Length of a flight [s].")] = 10.0,
+    repeat: Repeat = 3,
     out: Out = None,
 ) -> None:
     """How many times real time the graph flies in lock-step, beside the closed loop without ROS: a minute."""
     from quadftc_tools.bench.lockstep import forms, lockstep_table, measure_lockstep
 
-    length, times = duration or (20.0 if thorough else 10.0), repeat or (5 if thorough else 3)
     results: list[Result] = []
     with StopSignals() as stop, _bars() as bars:
         for each in rate:
-            flown = _scenario(observer, length, each, scenario)
+            flown = _scenario(observer, duration, each, scenario)
             chosen = forms(_values(engine))
-            bar = bars.add_task(f"{each:g} Hz", total=times * len(chosen))
+            bar = bars.add_task(f"{each:g} Hz", total=repeat * len(chosen))
             # all forms in turn, so that a busy machine is as bad for all
-            for _, form in itertools.product(range(times), chosen):
+            for _, form in itertools.product(range(repeat), chosen):
                 found = measure_lockstep(flown, flown.scheme(None), *form, lambda _: not stop.requested)
                 results.append(_unless_stopped(found))
                 bars.advance(bar)
