@@ -49,10 +49,10 @@ def test_a_recorded_run_is_judged_along_its_way(run):
     assert report["bounds"]["disturbance"]["value"][0] == pytest.approx(0.1 / 0.03, rel=0.02)
 
 
-def test_the_run_of_another_scenario_is_refused(run):
-    done = check("paper_faults", "--bag", run)
+def test_a_recorded_run_is_not_judged_with_other_parts(run):
+    done = check(run, "--controller", "smc")
     assert done.returncode == 2
-    assert done.stderr == f"error: {run}: is a run of scenario 'short', not of 'paper_faults'\n"
+    assert done.stderr.startswith(f"error: {run}: a recorded run is judged as it was flown")
 
 
 def test_a_truncated_bag_is_read_to_its_end_with_a_warning(run, tmp_path):

@@ -37,7 +37,6 @@ def check_target(
     scheme: str,
     parts: Mapping[str, str],
     changes: tuple[Sequence[str], str],
-    bag: Path | None,
     sensors: str | None,
     as_json: bool,
 ) -> bool:
@@ -53,30 +52,21 @@ def check_target(
         _isolability(load_scenario(find_scenario(target), overrides).vehicle, sensors, as_json)
         return True
     path = Path(target)
-    is_bag = path.is_dir() or (path.is_file() and path.suffix not in (".yaml", ".yml"))
-    recorded = bag or (path if is_bag else None)
-    if recorded is None:
-        scenario = with_components(load_scenario(find_scenario(target), overrides, gains), **parts)
-        report = check_scenario(scenario, scenario.scheme(scheme or None))
-    else:
+    if path.is_dir() or (path.is_file() and path.suffix not in (".yaml", ".yml")):
         if any((scheme, *parts.values(), gains, *overrides)):
             wrong = "a recorded run is judged as it was flown; no scheme, parts, --gains, --set"
-            raise BagError(f"{recorded}: {wrong}")
-        report = _check_recorded(recorded, target if bag is not None else "")
+            raise BagError(f"{path}: {wrong}")
+        run = read_run(find_run(path))
+        warn(run.warnings)
+        report = check_run(run)
+    else:
+        scenario = with_components(load_scenario(find_scenario(target), overrides, gains), **parts)
+        report = check_scenario(scenario, scenario.scheme(scheme or None))
     if as_json:
         say(json.dumps(report.to_dict(), indent=2, allow_nan=False))
     else:
         _print(report)
     return report.passed
-
-
-def _check_recorded(recorded: Path, asked: str) -> CheckReport:
-    """Check a recorded run, of the scenario asked for, if any."""
-    run = read_run(find_run(recorded))
-    warn(run.warnings)
-    if asked and (name := load_scenario(find_scenario(asked), []).name) != run.scenario.name:
-        raise BagError(f"{recorded}: is a run of scenario '{run.scenario.name}', not of '{name}'")
-    return check_run(run)
 
 
 def print_vehicle(name: str, as_json: bool = False) -> None:

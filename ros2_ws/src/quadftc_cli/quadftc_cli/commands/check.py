@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,7 +15,7 @@ def check(
         str,
         Argument(
             metavar="SCENARIO|BAG|VEHICLE",
-            help="Scenario or vehicle (file or name), or a recorded run.",
+            help="Scenario or vehicle (file or name), or a recorded run, with Lyapunov functions along it.",
             autocompletion=options.complete_scenario,
         ),
     ],
@@ -26,9 +25,6 @@ def check(
     controller: options.ControllerOption = "",
     set_: options.SetOption = [],  # noqa: B006
     gains: options.GainsOption = "",
-    bag: Annotated[
-        Path | None, Option(help="Recorded run: its bounds, and the Lyapunov functions along it.")
-    ] = None,
     isolability: Annotated[
         bool, Option("--isolability", help="Instead: which faults can be detected and told apart.")
     ] = False,
@@ -44,5 +40,5 @@ def check(
 
     parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
     instead = sensors if isolability else None
-    if not check_target(target, scheme, parts, (set_, gains), bag, instead, as_json):
+    if not check_target(target, scheme, parts, (set_, gains), instead, as_json):
         raise typer.Exit(CHECK_FAILED)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 def tune(
     file: Annotated[Path, Argument(help="Campaign file with a key 'tune' (see campaigns/).")],
     out: Annotated[Path | None, Option(help="File for the gains; default: gains/NAME.yaml.")] = None,
-    steps: Annotated[int | None, Option(help="Steps of the search in place of the file's.")] = None,
     workers: WorkersOption = None,
     force: Annotated[bool, Option("--force", help="Replace the file.")] = False,
 ) -> None:
@@ -35,10 +34,6 @@ def tune(
     cores = workers_here(workers)
     loaded = load_campaign(file)
     start = checked(loaded)
-    if steps is not None and loaded.tune is not None:
-        if steps < 1:
-            raise CampaignError(f"--steps {steps}: must be positive")
-        loaded = loaded.model_copy(update={"tune": loaded.tune.model_copy(update={"steps": steps})})
     path = out or Path("gains") / f"{loaded.name}.yaml"
     if path.exists() and not force:
         raise CampaignError(f"{path}: exists; --force replaces it")
