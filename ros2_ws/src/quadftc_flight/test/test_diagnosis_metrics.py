@@ -14,7 +14,6 @@ import pytest
 from quadftc_flight.checks import refuse_wrong_checks
 from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics, pool
 from quadftc_flight.diagnosis_metrics.columns import consistency_band, independent_samples
-from quadftc_flight.diagnosis_metrics.fault_statistics import show_row
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, attitude_events, events_of_windows
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, unknown_flight
 from quadftc_flight.metrics import flight_metrics, known_metrics
@@ -391,7 +390,6 @@ def test_pool_of_one_flight_says_what_the_flight_says():
 def test_pool_of_nothing_has_no_value():
     pooled = pool([])
     assert (pooled["fault_count"], pooled["missed"], pooled["total_false_alarm_share"]) == (0, None, None)
-    assert show_row(pooled)[1:] == ("-", "-", "-", "-", "- / - deg", "-")
 
 
 def test_more_consistent_faults_narrow_the_band_of_their_mean_nees():
@@ -401,20 +399,3 @@ def test_more_consistent_faults_narrow_the_band_of_their_mean_nees():
     assert one["nees_high"]["all"] == pytest.approx(5.024, rel=1e-3)
     assert (many["nees_low"]["all"], many["nees_high"]["all"]) == pytest.approx(consistency_band(40))
     assert many["nees"]["step"] == pytest.approx(1.0, abs=0.05)
-
-
-def test_table_shows_counts_delays_errors_and_alarms():
-    pooled = pool(two_flights())
-    row = show_row(pooled)
-    assert row[:5] == ("4", "1", "300 ms", "4 s", "-")
-    median, p95 = (pooled[f"estimate_rmse_{name}_deg"]["all"] for name in ("median", "p95"))
-    assert row[5] == f"{median:.3g} / {p95:.3g} deg"
-    share = 100.0 * pooled["total_false_alarm_share"]
-    assert row[6].startswith("1, ")
-    assert row[6].endswith(f" an hour, {share:.3g} % of healthy time")
-    calm = pool([judged(states={"roll": [(10.1, 20.0, FAULTY)]})])
-    assert show_row(calm)[6] == "none"
-    late = pool([judged(states={"roll": [(10.1, 25.15, FAULTY)]})])
-    assert show_row(late)[6] == "none; 0.143 % of healthy time left over from faults"
-    always = pool([judged(states={"roll": [(0.0, DURATION, FAULTY)]})])
-    assert show_row(always)[1:3] == ("0 (1 declared before the onset)", "-")

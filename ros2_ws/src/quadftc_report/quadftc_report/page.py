@@ -17,7 +17,6 @@ from plotly.offline import get_plotlyjs
 
 from quadftc_flight.diagnosis_metrics import pool
 from quadftc_flight.diagnosis_metrics.columns import Metrics
-from quadftc_flight.diagnosis_metrics.fault_statistics import HEADINGS, show_row
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario
 from quadftc_model.samples import AXES
@@ -31,6 +30,7 @@ from quadftc_report.description import Figure
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
 from quadftc_report.headline import headline
+from quadftc_report.overview import HEADINGS, overview_row
 from quadftc_report.tables import metric_tables
 from quadftc_report.wording import NOTHING, counted, listing, plain, short, unbroken
 
@@ -126,8 +126,8 @@ def render(
         about=about,
         axes=AXES,
         key_metrics=KEY_METRICS,
-        overview_heads=HEADINGS[1:],
-        overview_row=lambda runs: show_row(pool(metric(run, "diagnosis") for run in runs)),
+        overview_heads=HEADINGS,
+        overview_row=lambda runs: overview_row(pool(metric(run, "diagnosis") for run in runs)),
         several=pool_replays([part.comparison for part in replayed]),
         heading=_heading(parts, replayed),
         headlines=headlines,

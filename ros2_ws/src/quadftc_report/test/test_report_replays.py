@@ -12,6 +12,7 @@ import pytest
 
 from quadftc_bags.bag import Bag
 from quadftc_flight.closed_loop import fly
+from quadftc_flight.diagnosis_metrics import pool
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events
 from quadftc_flight.flight import NO_STATE, Flight, ImuReadings, unknown_flight
 from quadftc_flight.run_directory import RecordedRun
@@ -23,6 +24,7 @@ from quadftc_replay.replay_directory import RecordedReplay, ReplayOrigin, replay
 from quadftc_report.comparison import compare, list_injections, tell_run
 from quadftc_report.description import Figure, Panel
 from quadftc_report.figures import replay_figures
+from quadftc_report.overview import HEADINGS, overview_row
 from quadftc_report.page import flight_sections, pool_replays, render, replay_sections
 
 PERIOD = 0.01  # s
@@ -313,3 +315,37 @@ def test_observer_on_several_recordings_has_a_line_for_all_faults():
     other = made_replay(recording="street")
     other.summary["parameters"]["threshold"] = 1.0
     assert pool_replays(compare([made_replay(), other])) == []
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        ({}, ("4", "1", "300 ms", "4 s", "–", "0.512 / 1.88 deg", "3, 21.6 an hour, 1.25 % of healthy time")),
+        ({"already_declared": 2}, (..., "1 (2 declared before the onset)")),
+        (
+            {"total_false_alarms": 0},
+            (..., ..., ..., ..., ..., ..., "none; 1.25 % of healthy time left over from faults"),
+        ),
+        ({"total_false_alarms": 0, "total_false_alarm_share": 0.0}, (..., ..., ..., ..., ..., ..., "none")),
+    ],
+)
+def test_overview_shows_counts_delays_errors_and_alarms(found, expected):
+    pooled = {
+        "fault_count": 4,
+        "missed": 1,
+        "already_declared": 0,
+        "delay_max_s": {"all": 4.0, "step": 0.3},
+        "delay_median_s": {"all": 0.3, "ramp": 4.0, "sine": None},
+        "estimate_rmse_median_deg": {"all": 0.5123},
+        "estimate_rmse_p95_deg": {"all": 1.876},
+        "total_false_alarms": 3,
+        "total_false_alarm_share": 0.0125,
+        "total_false_alarms_per_hour": 21.63,
+    }
+    row = overview_row(pooled | found)
+    assert len(row) == len(HEADINGS)
+    assert all(text in (..., cell) for text, cell in zip(expected, row, strict=False))
+
+
+def test_overview_of_nothing_is_dashes():
+    assert overview_row(pool([])) == ("0", *["–"] * 6)
