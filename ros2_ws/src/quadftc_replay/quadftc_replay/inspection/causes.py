@@ -24,6 +24,7 @@ FACTS = ("absent", "brownout")  # kinds that no motion makes; readings that are 
 NAVIGATION = ("magnetometer", "barometer", "gps")
 # component: what goes wrong after it, besides
 FOLLOWS = {
+    "response": ("rotor", "gyro", "accelerometer", "attitude", "vibration", *NAVIGATION),
     "rotor": ("rotor", "gyro", "accelerometer", "attitude", *NAVIGATION),
     "gyro": ("rotor", "gyro", "accelerometer", "attitude", *NAVIGATION),
     "accelerometer": ("accelerometer", "attitude", "magnetometer", "gps"),
@@ -33,7 +34,12 @@ FOLLOWS = {
     "vibration": ("gyro", "accelerometer"),
     "gps": ("gps", "gyro", "accelerometer", "attitude", "barometer"),
 }
-LATER = {"gyro": 0.5 * SLACK, "accelerometer": 0.5 * SLACK, "attitude": SLACK}  # s
+LATER = {
+    "response": -np.inf,  # a vehicle is wired as it is before its log begins
+    "gyro": 0.5 * SLACK,
+    "accelerometer": 0.5 * SLACK,
+    "attitude": SLACK,
+}  # s
 RESETS = ("reset", "lane switch", "primary", "aligned")  # words of an estimator that starts anew
 RESET = 0.5  # s; from its words to the jump
 # words of an autopilot that something fails, and of what is no part of the vehicle
@@ -144,7 +150,7 @@ def _repeats(finding: Finding, known: Finding) -> bool:
     if known.onset_s - 1.0 > ends or finding.onset_s > end + 1.0:
         return False
     if f"{known.component}/{known.element}" in finding.ambiguous_with:
-        return True
+        return finding.component != "response"  # which has compared both
     if finding.component != known.component:
         return False
     if known.kind == finding.kind:

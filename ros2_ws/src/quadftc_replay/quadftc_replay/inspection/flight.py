@@ -232,7 +232,7 @@ def _off_the_ground(log: FlightLog, level: Signal, flights: Sequence[Interval]) 
         return
     time, shares = level.time, _smooth(level)[:, 0]
     weight = np.linalg.norm(Signal(force.time, _smooth(force)).at(time), axis=1) / STANDARD_GRAVITY
-    still = _lies_still(log, time) & (np.abs(weight - 1.0) < HELD)
+    still = lies_still(log, time) & (np.abs(weight - 1.0) < HELD)
     count = max(1, round(CRASH * level.rate))
     for each in flights:
         inside = (time >= each.start) & (time <= each.end)
@@ -257,7 +257,7 @@ def _off_the_ground(log: FlightLog, level: Signal, flights: Sequence[Interval]) 
         yield Interval(lift if begins else each.start, end)
 
 
-def _lies_still(log: FlightLog, time: Floats) -> Mask:
+def lies_still(log: FlightLog, time: Floats) -> Mask:
     """Whether all gyros that are alive turn next to nothing about roll and pitch at each time (n,).
 
     Means count: rotors shake a vehicle that the ground holds.

@@ -108,7 +108,7 @@ def identify(flight: Flight) -> Identified | None:
     # the lag by which most is explained
     y, tried = in_blocks(measured), list[tuple[float, float, Floats, Floats]]()
     for lag in LAGS.tolist():
-        x = in_blocks(_lagged(driven, lag, dt))
+        x = in_blocks(lagged(driven, lag, dt))
         r2 = _held_out(x, y)
         tried.append((float(np.sum(np.clip(r2[:2], -1.0, 1.0))), lag, r2, x))
     _, lag, r2, x = max(tried, key=lambda each: each[0])
@@ -137,7 +137,7 @@ def _has_samples(edges: Floats, sensor: Signal, slack: float) -> Mask:
     return (after - before < slack + (edges[1] - edges[0])) & (before <= edges[:-1]) & (after >= edges[1:])
 
 
-def _lagged(inputs: Floats, lag: float, dt: float) -> Floats:
+def lagged(inputs: Floats, lag: float, dt: float) -> Floats:
     """Put the rotors' lag on inputs (n, k), settled at the first."""
     if lag <= 0.0:
         return inputs

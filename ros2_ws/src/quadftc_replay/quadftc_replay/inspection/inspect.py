@@ -24,6 +24,7 @@ from quadftc_replay.inspection.own_attitude import OwnEstimate, estimate, offset
 from quadftc_replay.inspection.pairs import owner_by_other
 from quadftc_replay.inspection.path import WINDOW
 from quadftc_replay.inspection.readings import absent_findings, noise_findings, reading_findings
+from quadftc_replay.inspection.response import response_findings
 from quadftc_replay.inspection.rotors import Rotors, judge_rotors
 from quadftc_replay.inspection.steps import LIMITS, SLOWEST
 from quadftc_replay.inspection.verdict import NotJudged, Verdict
@@ -81,7 +82,7 @@ def inspect(
     inspection.found += found
     inspection.judged += judged
     rotors = _rotors(flight, baseline, inspection)
-    inspection.found += deaf_findings(flight)
+    inspection.found += [*deaf_findings(flight), *response_findings(flight)]
     progress(0.8)
     if (reason := cannot_judge_battery(flight)) is None:
         inspection.judged.append("battery")

@@ -30,6 +30,8 @@ Kind = Literal[
     "off",
     "brownout",
     "rise",
+    "reversed",
+    "exchanged",
     "unknown",
 ]
 EndKind = Literal["in flight", "landed", "switched off in the air", "hit the ground", "out of control"]
@@ -44,12 +46,16 @@ class Finding(_Strict):
 
     component: str = Field(
         description="gyro, accelerometer, attitude, rotor, battery, speed sensor, magnetometer, barometer,"
-        " gps; another one: 'gyro 2'"
+        " gps, response (of the vehicle to its commands); another one: 'gyro 2'"
     )
     element: str = Field(
-        description="x, y, z (gps: north, east, up); roll, pitch, yaw; a rotor's number; '': all of it"
+        description="x, y, z (gps: north, east, up); roll, pitch, yaw, or several of them; a rotor's number;"
+        " '': all of it"
     )
-    kind: Kind = Field(description="what the fault looks like; loss: a part is missing, off: all of it")
+    kind: Kind = Field(
+        description="what the fault looks like; loss: a part is missing, off: all of it;"
+        " reversed: it answers the wrong way, exchanged: another axis does"
+    )
     onset_s: float = Field(ge=0.0, description="begin, in seconds from the first sample of the log")
     end_s: float | None = Field(description="end in the same seconds; null: it lasts to the end of the log")
     size: float | None = Field(description="reading less truth, or share of thrust lost; null: none")

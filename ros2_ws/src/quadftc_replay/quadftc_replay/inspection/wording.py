@@ -230,12 +230,21 @@ def _describe(finding: Finding) -> str:
         "off": f"{finding.name} gives no thrust",
         "brownout": f"{finding.name} breaks down",
         "rise": f"{finding.name} rises{size.replace(' of ', ' by ')}",
+        "reversed": f"{_axes(finding)} the wrong way",
+        "exchanged": f"{_axes(finding)} about another axis",
         "unknown": f"{finding.name} is at fault",
     }[finding.kind]
     until = "" if finding.end_s is None else f" to {finding.end_s:.2f} s"
     others = join([each.replace("/", " ") for each in finding.ambiguous_with], "or")
     doubt = f" (or {others})" if others else ""
     return f"{what} from {finding.onset_s:.2f} s{until}{doubt}"
+
+
+def _axes(finding: Finding) -> str:
+    """Begin a sentence of axes that answer; what follows says how."""
+    axes = finding.element.split(",")
+    is_one = len(axes) == 1
+    return f"{join(axes)} {'answers its command' if is_one else 'answer their commands'}"
 
 
 def _share(size: float | None) -> str:
