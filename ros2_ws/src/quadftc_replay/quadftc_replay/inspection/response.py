@@ -47,7 +47,7 @@ AXES = ("roll", "pitch", "yaw")
 BEGINS = 0.1  # 1; of its greatest rate, at which the vehicle begins to turn
 SETTLES = 0.6  # s; of commands before, for the lag: four of the longest lag
 FEWEST = 4  # samples of the gyro
-LEFT = 0.01  # 1; of the motion, that no model explains: commands are known ten times a second
+LEFT = 0.005  # 1; of the motion, that no model explains: commands are known ten times a second
 EXPLAINS = 0.95  # 1; of the motion, that a wiring has to explain
 BETTER = 2.0  # 1; times as much that a sound vehicle leaves of it
 HALF = 0.5  # 1; of what an axis answers, that turns the vehicle about another one
@@ -87,13 +87,13 @@ def response_findings(flight: Flight) -> list[Found]:
     layout, places = effects(flight.log), flight.log.rotor_positions
     if layout is None or places is None:
         return []
-    over = turning_over(flight)
-    span = spinning(flight) if over is None else over
-    motion = None if span is None or _rotor_stands(flight, span) else motion_of(flight, span)
-    if span is None or motion is None or motion.commands[0.0].shape[1] != layout.shape[1]:
-        return []
-    wiring = _yaw_reversed(motion, layout) if over is None else find_wiring(motion, layout, places)
-    return [] if wiring is None else [_found(flight, span, wiring)]
+    for span, find in ((turning_over(flight), find_wiring), (spinning(flight), _yaw_reversed)):
+        motion = None if span is None or _rotor_stands(flight, span) else motion_of(flight, span)
+        if span is None or motion is None or motion.commands[0.0].shape[1] != layout.shape[1]:
+            continue
+        if (wiring := find(motion, layout, places)) is not None:
+            return [_found(flight, span, wiring)]
+    return []
 
 
 def turning_over(flight: Flight) -> Interval | None:
@@ -102,7 +102,7 @@ def turning_over(flight: Flight) -> Interval | None:
     if log.attitude is None or level is None or len(log.attitude) < 2:
         return None
     time, thrust = log.attitude.time, np.nan_to_num(level.value[:, 0])
-    tilt: Floats = np.arccos(np.clip(earth_z_in_body(log.attitude.value)[..., 2], -1.0, 1.0))
+    tilt = _tilt(log.attitude)
     for k in np.flatnonzero((tilt[1:] > UPSET) & (tilt[:-1] <= UPSET)).tolist():
         over = float(np.interp([UPSET], tilt[k : k + 2], time[k : k + 2])[0])
         before = thrust[(level.time > over - TAKE_OFF) & (level.time <= over)]
@@ -114,7 +114,7 @@ def turning_over(flight: Flight) -> Interval | None:
 
 
 def spinning(flight: Flight) -> Interval | None:
-    """Return from when to when a vehicle turns about yaw ever faster until a whole turn, at take-off."""
+    """Return from when to when a vehicle spins ever faster until a whole turn, at take-off, upright."""
     level = rotor_level(flight.log)
     if level is None or flight.gyro is None:
         return None
@@ -128,7 +128,16 @@ def spinning(flight: Flight) -> Interval | None:
     turn = flight.gyro[1].integral()
     turned = np.abs(turn.value[:, 2] - np.interp(start, turn.time, turn.value[:, 2]))
     whole = np.flatnonzero((turn.time > start) & (turned > TURN))
-    return _growing(flight, start, float(turn.time[whole[0]])) if len(whole) else None
+    span = _growing(flight, start, float(turn.time[whole[0]])) if len(whole) else None
+    attitude = flight.log.attitude
+    if span is None or attitude is None or not len(attitude):
+        return span
+    return None if np.any(_tilt(attitude)[attitude.time <= span.end] > UPSET) else span
+
+
+def _tilt(attitude: Signal) -> Floats:
+    """Tilt of each sample of an attitude [rad]."""
+    return np.arccos(np.clip(earth_z_in_body(attitude.value)[..., 2], -1.0, 1.0))
 
 
 def _growing(flight: Flight, start: float, end: float) -> Interval | None:
@@ -296,7 +305,7 @@ def find_wiring(motion: Motion, layout: Floats, places: Floats) -> Wiring | None
     )
 
 
-def _yaw_reversed(motion: Motion, layout: Floats) -> Wiring | None:
+def _yaw_reversed(motion: Motion, layout: Floats, _places: Floats) -> Wiring | None:
     """Say whether a vehicle spins against its command, as no rotor that is lost makes it."""
     turned = motion.turned[:, 2:]
     total = max(float(np.sum(turned**2)), 1e-12)
