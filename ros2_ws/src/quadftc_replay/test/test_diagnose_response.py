@@ -136,3 +136,13 @@ def test_wrong_answer_hides_no_sensor_that_fails_before():
     found = judge(dataclasses.replace(log, gyros={**log.gyros, "1": second})).findings
     assert found[0].component == "response"
     assert ("gyro 1", "stuck") in [(each.component, each.kind) for each in found]
+
+
+def test_rotor_that_stands_by_its_measured_speed_explains_a_flip_alone():
+    log = take_off(WIRINGS["roll reversed"])
+    assert log.rotor_commands is not None
+    speeds = Signal(log.rotor_commands.time, 800.0 * np.sqrt(log.rotor_commands.value))
+    turning = dataclasses.replace(log, rotor_speeds=speeds)
+    assert [each.finding.name for each in response_findings(prepare(turning))] == ["response roll"]
+    speeds.value[:, 1] = 0.0
+    assert [each.finding.name for each in response_findings(prepare(turning))] == ["rotor 2"]

@@ -41,6 +41,7 @@ from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.identification import FINE, LAGS, STANDS, bin_means, lagged
 from quadftc_replay.inspection.rotor_step import ASIDE, FASTEST, fast_commands
 from quadftc_replay.inspection.rotor_trim import BETWEEN_VEHICLES, effects
+from quadftc_replay.inspection.rotors import asked_share
 from quadftc_replay.inspection.whitening import Floats
 
 AXES = ("roll", "pitch", "yaw")
@@ -88,8 +89,12 @@ def response_findings(flight: Flight) -> list[Found]:
     if layout is None or places is None:
         return []
     for span, find in ((turning_over(flight), find_wiring), (spinning(flight), _yaw_reversed)):
-        motion = None if span is None or _rotor_stands(flight, span) else motion_of(flight, span)
-        if span is None or motion is None or motion.commands[0.0].shape[1] != layout.shape[1]:
+        if span is None:
+            continue
+        if (stands := _rotor_that_stands(flight, span)) is not None:
+            return [_standing_found(flight, span, stands)]
+        motion = motion_of(flight, span)
+        if motion is None or motion.commands[0.0].shape[1] != layout.shape[1]:
             continue
         if (wiring := find(motion, layout, places)) is not None:
             return [_found(flight, span, wiring)]
@@ -166,13 +171,28 @@ def _takes_off(flight: Flight, moment: float) -> bool:
     return bool(np.any((share < FLYING) | held))
 
 
-def _rotor_stands(flight: Flight, span: Interval) -> bool:
-    """Whether measured speeds say that a rotor stands: then nothing else has to explain the motion."""
+def _rotor_that_stands(flight: Flight, span: Interval) -> int | None:
+    """Return the rotor that stands all along by its measured speed, though it is told to turn; None: none."""
     speeds = flight.log.rotor_speeds
-    if speeds is None:
-        return False
-    part = np.abs(np.nan_to_num(speeds.value[slice(*np.searchsorted(speeds.time, span))]))
-    return bool(np.any(part.min(axis=1) < STANDS * np.median(part, axis=1))) if len(part) else False
+    part = None if speeds is None else speeds.value[slice(*np.searchsorted(speeds.time, span))]
+    if part is None or not len(part):
+        return None
+    part = np.abs(np.nan_to_num(part))
+    stands = np.all(part < STANDS * np.median(part, axis=1, keepdims=True), axis=0)
+    for rotor in np.flatnonzero(stands).tolist():
+        asked = asked_share(flight.log, rotor, *span)
+        if asked is None or asked >= STANDS:
+            return rotor
+    return None
+
+
+def _standing_found(flight: Flight, span: Interval, rotor: int) -> Found:
+    speeds = flight.log.rotor_speeds
+    assert speeds is not None  # else no rotor is known to stand
+    said = f"it stands as the vehicle takes off and turns, from {span.start:.2f} to {span.end:.2f} s"
+    lines = {f"rotor {k + 1}": speeds.value[:, k] for k in range(speeds.value.shape[1])}
+    curve = Curve("speed of the rotors", "rad/s", speeds.time, lines)
+    return make_found("rotor", str(rotor + 1), "off", span.start, curve=curve, evidence=(said,))
 
 
 def motion_of(flight: Flight, span: Interval) -> Motion | None:

@@ -170,7 +170,7 @@ def _standing(flight: Flight) -> Iterator[Found]:
         for run in runs_of(stands):
             start, end = float(sensor.time[run.start]), float(sensor.time[run.stop - 1])
             onset = _slows_down(sensor.time, speeds[:, rotor], run.start)
-            asked = _asked_share(flight.log, rotor, onset, start)
+            asked = asked_share(flight.log, rotor, onset, start)
             is_asked = asked is not None and asked < STANDS
             least = STANDS_FOR if asked is not None and not is_asked else STOPS_FOR
             if end - start < max(least, 1.5 / sensor.rate):
@@ -245,7 +245,7 @@ def _slows_down(time: Floats, speed: Floats, row: int) -> float:
     return float(time[first + begins + reach])
 
 
-def _asked_share(log: FlightLog, rotor: int, start: float, end: float) -> float | None:
+def asked_share(log: FlightLog, rotor: int, start: float, end: float) -> float | None:
     """Mean command of a rotor over that of the others, or the last one; None where it is not logged."""
     commands = log.rotor_commands
     if commands is None or commands.value.shape[1] <= rotor:
