@@ -3,9 +3,9 @@
     python -m quadftc_tools.study.wirings [--flights 20] [--seed 95000] [--docs docs]
 
 Random vehicles rest with their rotors stopped, and then fly from a height, each with its motors in another
-order, propellers on the wrong way, an axis reversed or the autopilot turned. The controller does not know. Some
-are sound, some lack a rotor from the begin. Each flight is written as ArduPilot and as PX4 log it by default,
-read back and judged. The table goes into docs/diagnose.md, or onto the screen without ``--docs``.
+order, propellers on the wrong way, an axis reversed or the autopilot turned. The controller does not know.
+Some are sound, some lack a rotor from the begin. Each flight is written as ArduPilot and as PX4 log it by
+default, read back and judged. The table goes into docs/diagnose.md, or onto the screen without ``--docs``.
 """
 
 from __future__ import annotations
