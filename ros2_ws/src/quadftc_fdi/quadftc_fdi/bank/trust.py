@@ -2,10 +2,15 @@
 
 An attitude that is not believed is left out, and the gyro takes its place. A gyro that is not believed is a
 gyro whose bias walks quickly: it still says how the rate changes from sample to sample.
+
+A sensor that reads right is believed again, but a wrong scale or a delay shows in motion alone. So its errors
+are fitted, by least squares, by the motion: an attitude's by angle and rate, a gyro's by rate and angular
+acceleration. Where that explains most of them, and more than an offset, time counts while they would show.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +18,7 @@ import numpy as np
 from quadftc_fdi.bank import inference, modes
 from quadftc_fdi.bank.inference import Bank, Posterior
 from quadftc_fdi.bank.motion import BETA, CORRELATED, STATES, THETA, Motion, moved_by
-from quadftc_fdi.bank.noise import TIGHT
+from quadftc_fdi.bank.noise import SMALL, TIGHT
 from quadftc_fdi.bank.readings import BACK
 from quadftc_model.arrays import (
     Array,
@@ -26,8 +31,10 @@ from quadftc_model.arrays import (
     larger,
     log,
     namespace,
+    stacked,
     where,
 )
+from quadftc_model.rotations import euler_from_quaternion
 
 FAULTY_WALK = 3.0  # rad/s/√s; chosen: walk of the bias of a gyro that is not believed
 AGREES = CORRELATED  # s; for which an attitude must agree with the motion: longer than a gust lasts
@@ -47,17 +54,19 @@ class Trust(NamedTuple):
     other: Vector  # of the attitude the largest size; of the gyro its bias before the fault
     evidence: Vector  # of the attitude log-likelihood ratio that it is over
     calm: Vector  # for how long it has looked healthy [s]
+    sums: Array  # of products of 1, error and motion over the variance of the error (..., 3, 8)
 
 
 def full_trust(like: Vector) -> Trust:
     """Start with all axes believed."""
-    zeros = namespace(like).zeros_like(like)
-    return Trust(zeros > 0.0, zeros, zeros, zeros, zeros, zeros)
+    xp = namespace(like)
+    zeros = xp.zeros_like(like)
+    return Trust(zeros > 0.0, zeros, zeros, zeros, zeros, zeros, xp.zeros((*like.shape, 8)))
 
 
 def acquitted(state: Trust, axes: Mask) -> Trust:
     """Believe axes again."""
-    return _kept(state.faulty & ~axes, *state[1:])
+    return _kept(state.faulty & ~axes, state.sums, *state[1:-1])
 
 
 def take_over(
@@ -95,19 +104,28 @@ def take_over(
 
 
 def watch_gyro(
-    state: Trust, named: Mask, age: Scalar, motion: Motion, before: Vector, louder: Vector, dt: Scalar
+    state: Trust,
+    named: Mask,
+    age: Scalar,
+    motion: Motion,
+    known: Vector,
+    before: Vector,
+    louder: Vector,
+    dt: Scalar,
 ) -> Trust:
-    """Watch a gyro until its bias [rad/s] is what it was ``before``.
+    """Watch a gyro until its bias [rad/s] is what it was ``before``; ``known`` is the acceleration [rad/s²].
 
     It must be hardly ``louder`` than usual, too: by that factor the variance of its noise has risen.
     """
     begins = named & ~state.faulty
     usual = where(begins, before, state.other)
     size = motion.bias - usual
-    agrees = (size * size < NEAR * motion.covariance[..., BETA, BETA]) & (louder < TIGHT)
-    calm = where(named, 0.0, (state.calm + dt) * agrees)
+    variance = motion.covariance[..., BETA, BETA]
+    agrees = (size * size < NEAR * variance) & (louder < TIGHT)
+    sums, shows = _fitted(state.sums, begins, size, variance, motion.rate, known + motion.unknown)
+    calm = where(named, 0.0, (state.calm + dt * shows) * agrees)
     faulty = (state.faulty | named) & (calm < BACK)
-    return _kept(faulty, where(begins, column(age), state.age + dt), size, usual, 0.0 * usual, calm)
+    return _kept(faulty, sums, where(begins, column(age), state.age + dt), size, usual, 0.0 * usual, calm)
 
 
 def watch_attitude(
@@ -118,6 +136,7 @@ def watch_attitude(
     variance: Vector,
     noise: Vector,
     there: Flag,
+    motion: Motion,
     dt: Scalar,
 ) -> Trust:
     """Watch an attitude that reads ``off`` [rad] by the motion, with a variance, of which noise is a part.
@@ -133,12 +152,34 @@ def watch_attitude(
     agrees = present & ~begins & (fits < TIGHT) & ((abs(size) < 0.5 * peak) | (size * size < variance))
     # a reading that agrees for other reasons tells nothing new with each sample: jumps alone count
     evidence = where(fits < TIGHT, state.evidence + ratio * (present & (goes_on > TIGHT)), 0.0)
-    calm = (state.calm + dt) * agrees
+    heard, angles = where(present, variance, math.inf), euler_from_quaternion(motion.q_xyzw)
+    sums, shows = _fitted(state.sums, begins, off, heard, angles, motion.rate)
+    calm = (state.calm + dt * shows) * agrees
     over = (calm > AGREES) | ((calm > SOON) & (evidence > SEEN))
     faulty = (state.faulty | named) & ~over
     evidence = where(begins, 0.0, larger(evidence, 0.0))
-    return _kept(faulty, where(begins, column(age), state.age + dt), size, peak, evidence, calm)
+    return _kept(faulty, sums, where(begins, column(age), state.age + dt), size, peak, evidence, calm)
 
 
-def _kept(faulty: Mask, *parts: Vector) -> Trust:
-    return Trust(faulty, *(where(faulty, part, 0.0) for part in parts))
+def _fitted(
+    sums: Array, begins: Mask, error: Vector, variance: Vector, first: Vector, second: Vector
+) -> tuple[Array, Mask]:
+    """Add an error to the sums; also return whether such a fault would show now.
+
+    The error is fitted by two parts of the motion.
+    """
+    one, variance = namespace(error).ones_like(error), larger(variance, SMALL)
+    pairs = (one, one), (one, error), (error, error), (first, error), (second, error)
+    products = stacked([a * b for a, b in (*pairs, (first, first), (first, second), (second, second))])
+    sums = where(column(begins), 0.0, sums) + products / column(variance)
+    n, e, ee, xe, ye, xx, xy, yy = (sums[..., k] for k in range(8))
+    det = larger(xx * yy - xy * xy, larger(SMALL * xx * yy, SMALL**2))
+    by_first, by_second = (yy * xe - xy * ye) / det, (xx * ye - xy * xe) / det
+    due = by_first * first + by_second * second
+    moves = by_first * xe + by_second * ye > larger(0.5 * ee, e * e / larger(n, SMALL))
+    return sums, (due * due > NEAR * variance) | ~moves
+
+
+def _kept(faulty: Mask, sums: Array, *parts: Vector) -> Trust:
+    age, size, other, evidence, calm = (where(faulty, part, 0.0) for part in parts)
+    return Trust(faulty, age, size, other, evidence, calm, where(column(faulty), sums, 0.0))

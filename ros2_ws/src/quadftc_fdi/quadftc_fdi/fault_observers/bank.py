@@ -119,7 +119,7 @@ class BankObserver(FlightLaw):
         state = self.init(without_fault(inputs, last.fault))
         peak = where(last.faulty, abs(last.fault), 0.0)
         zeros = namespace(peak).zeros_like(peak)
-        attitude = Trust(last.faulty, last.since, last.fault, peak, zeros, zeros)
+        attitude = Trust(last.faulty, last.since, last.fault, peak, zeros, zeros, state.attitude.sums)
         started = state.motion._replace(
             bias=-last.gyro_correction, rate=inputs.imu.body_rate + last.gyro_correction
         )
@@ -166,9 +166,9 @@ class BankObserver(FlightLaw):
         believed = motion.unsettled(believed, motion.THETA, where(cleared[0] | gyro, off * off, 0.0))
         believed = motion.unsettled(believed, motion.D, where(gyro, believed.unknown**2, 0.0))
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
-        attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, dt)
+        attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, believed, dt)
         usual, louder = state.motion.bias, noise.louder(state.learning)
-        gyro = trust.watch_gyro(before[1], gyro, age, believed, usual, louder, dt)
+        gyro = trust.watch_gyro(before[1], gyro, age, believed, known, usual, louder, dt)
         # learn
         turned = turn(state.q_xyzw, 0.5 * (read + state.rate) * column(dt))
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
