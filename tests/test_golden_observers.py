@@ -9,7 +9,14 @@ import pytest
 
 from quadftc_tools.study.golden import STORED, judge, stored_verdicts
 from quadftc_tools.study.golden_alarms import differences
-from quadftc_tools.study.golden_trials import RECORDINGS, SETS, recorded_trials, simulated_trials, trials
+from quadftc_tools.study.golden_trials import (
+    RECORDINGS,
+    SETS,
+    flights_of,
+    recorded_trials,
+    simulated_trials,
+    trials,
+)
 
 PARENTS = Path(__file__).resolve().parents
 ROOT = PARENTS[1]
@@ -36,6 +43,13 @@ def test_observer_says_on_some_flights_what_is_stored(observer):
 @pytest.mark.parametrize("observer", FLOWN)
 def test_observer_says_on_some_recordings_what_is_stored(observer):
     refuse_differences([*recorded_trials(DATA)][::SHARE], observer)
+
+
+def test_what_a_faulty_gyro_has_taught_is_not_blamed_on_the_attitude():
+    flight = [*flights_of("which_sensor", 21, 369)][-1]  # the fault of its gyro turns it by 0.5 rad
+    verdict = flight.judge("bank")
+    assert {alarm.element for alarm in verdict.alarms if alarm.state == "FAULTY"} == {"gyro/y"}
+    assert verdict.error_deg < 5.0
 
 
 @pytest.mark.thorough

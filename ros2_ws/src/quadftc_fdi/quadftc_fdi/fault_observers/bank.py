@@ -163,7 +163,9 @@ class BankObserver(FlightLaw):
         cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
         before = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
         # what a faulty gyro has taught is doubted
-        believed = motion.unsettled(believed, motion.THETA, where(cleared[0] | gyro, off * off, 0.0))
+        believed = motion.unsettled(
+            believed, motion.THETA, where(cleared[0] | gyro, _off(off, imu, believed, good_attitude), 0.0)
+        )
         believed = motion.unsettled(believed, motion.D, where(gyro, believed.unknown**2, 0.0))
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, believed, dt)
@@ -378,6 +380,12 @@ def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
 def _of_gyro(of_modes: Array) -> Vector:
     """Add up what is said of a gyro, and of a wild one, by axis."""
     return of_modes[..., modes.EFFECT // 3 == modes.GYRO].reshape(*of_modes.shape[:-1], 2, 3).sum(axis=-2)
+
+
+def _off(before: Vector, imu: ImuSample, believed: Motion, good: Mask) -> Vector:
+    """Square of how far an attitude is off [rad²], before a fault is believed and, if it is good, after."""
+    after = wrap(euler_from_quaternion(imu.q_xyzw) - euler_from_quaternion(believed.q_xyzw))
+    return larger(before * before, where(good, after * after, 0.0))
 
 
 def _turning(angles: Vector) -> Array:
