@@ -4,7 +4,7 @@
 
 Random vehicles rest with their rotors stopped, and then fly from a height, each with its motors in another
 order, propellers on the wrong way, an axis reversed or the autopilot turned. The controller does not know.
-Some are sound, some lack a rotor from the begin. Each flight is written as ArduPilot and as PX4 log it by
+Some are sound, some lack a rotor from the beginning. Each flight is written as ArduPilot and as PX4 log it by
 default, read back and judged. The table goes into docs/diagnose.md, or onto the screen without ``--docs``.
 """
 
@@ -114,9 +114,7 @@ def wirings_table(told: Counter[tuple[str, str]]) -> str:
     headings = ("wired", "logs", "response first", "per cent [95 %]", "the rotor", "another", "no finding")
     rows: list[tuple[str, ...]] = []
     for wiring in ALL:
-        own: Counter[str] = Counter()
-        for (name, said), count in told.items():
-            own[said] += count if name == wiring else 0
+        own = Counter({said: count for (name, said), count in told.items() if name == wiring})
         logs, hits = own.total(), own["response"]
         if logs:
             low, high = share_interval(hits, logs)
