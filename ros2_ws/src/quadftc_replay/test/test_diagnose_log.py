@@ -17,6 +17,7 @@ from quadftc_replay.inspection.agreement import Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.diagnosis import write_verdict, write_verdict_junit
 from quadftc_replay.inspection.flight import Interval, prepare
+from quadftc_replay.inspection.found import make_finding
 from quadftc_replay.inspection.gyro import gyro_findings
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
@@ -257,6 +258,17 @@ def test_junit_counts_what_failed(tmp_path: Path):
     log = overlay_faults(hover(), faults_from((), ["stuck channel=gyro axis=y start=20s"]))
     suite = ET.parse(write_verdict_junit(inspect(log).verdict, tmp_path / "verdict.xml")).getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("5", "1", "2")
+
+
+def test_junit_leaves_open_what_may_be_at_fault_instead(tmp_path: Path):
+    verdict = inspect(hover()).verdict
+    assert "gyro" in verdict.judged
+    finding = make_finding("response", "roll", "reversed", 2.0, ambiguous_with=("gyro/x",))
+    verdict = verdict.model_copy(update={"findings": (finding,)})
+    suite = ET.parse(write_verdict_junit(verdict, tmp_path / "verdict.xml")).getroot()
+    skipped = suite.find("testcase[@name='gyro']/skipped")
+    assert skipped is not None
+    assert skipped.get("message") == "may be at fault instead of response roll"
 
 
 PLACES = np.array([[1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])

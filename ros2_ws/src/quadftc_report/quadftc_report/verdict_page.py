@@ -17,7 +17,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.found import Curve
 from quadftc_replay.inspection.gyro import component_name
 from quadftc_replay.inspection.inspect import Inspection
-from quadftc_replay.inspection.verdict import Finding, Verdict, show, unsaid
+from quadftc_replay.inspection.verdict import Finding, Verdict, doubted, show, unsaid
 from quadftc_report.description import Figure, Mark, Panel, Shade, Trace
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.page import render_template
@@ -29,7 +29,7 @@ WIDEST = 34  # letters in a line beside such a panel
 MAX_ROTORS = 8  # lines in a panel
 EMPTY = Panel(title="nothing", y_label="nothing logged", unit="", traces=())
 NOTHING = Figure("nothing", "None of the main signals was logged", "", (EMPTY,), (0.0, 1.0))
-MARKS = {"fault": "✗", "not judged": "?", "no fault found": "✓"}
+MARKS = {"fault": "✗", "in doubt": "?", "not judged": "?", "no fault found": "✓"}
 
 
 class Component(NamedTuple):
@@ -187,7 +187,10 @@ def _components(inspection: Inspection) -> Iterator[Component]:
         texts = [f"{each.name}: {each.kind} {describe(each).partition(';')[0]}" for each in found]
         faults = [("fault", each.onset_s, end if each.end_s is None else each.end_s) for each in found]
         bars = [*(flights if name in verdict.judged else [("open", 0.0, end)]), *faults]
-        outcome = "fault" if found else "no fault found" if name in verdict.judged else "not judged"
+        doubt = doubted(verdict, name)
+        usual = "no fault found" if name in verdict.judged else "not judged"
+        outcome = "fault" if found else "in doubt" if doubt else usual
+        texts += [doubt] if doubt else []
         texts += [outcome] if outcome == "no fault found" or not (texts or reasons) else []
         shares = tuple(
             (look, 100.0 * start / end, 100.0 * (stop - start) / end) for look, start, stop in bars

@@ -99,6 +99,15 @@ def test_page_of_a_log_that_lacks_much_is_escaped_and_says_what_is_missing():
     assert text.index("not judged</td>") < text.index("no fault found</td>"), "what is open comes first"
 
 
+def test_component_that_may_be_at_fault_instead_is_not_called_sound():
+    inspection = flight()
+    finding = make_finding("response", "roll", "reversed", 2.0, ambiguous_with=("gyro/x",))
+    verdict = inspection.verdict.model_copy(update={"findings": (finding,)})
+    text = render_verdict(inspection._replace(verdict=verdict, found=(Found(finding),)))
+    assert re.search(r">gyro</th>.*\n.*\?</span>may be at fault instead of response roll</td>", text)
+    assert "fault instead" not in render_verdict(flight())
+
+
 def test_log_without_a_signal_to_draw_has_a_page():
     log = FlightLog(path=Path("log"), format="test", thrust_command=Signal(TIME, np.ones((len(TIME), 1))))
     assert "nothing logged" in render_verdict(inspect(log))

@@ -12,7 +12,7 @@ from quadftc_replay.calibration import level_for
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.inspection.inspect import Inspection, Progress, inspect
 from quadftc_replay.inspection.overlay import overlay_faults
-from quadftc_replay.inspection.verdict import Verdict, show, unjudged
+from quadftc_replay.inspection.verdict import Verdict, doubted, show, unjudged
 from quadftc_replay.inspection.wording import apply_level
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.readers import ONLY_ONE, LogChoice
@@ -80,7 +80,9 @@ def write_verdict(verdict: Verdict, directory: Path, name: str = VERDICT) -> Pat
 def write_verdict_junit(verdict: Verdict, path: Path) -> Path:
     """Write the verdict as JUnit XML: one test case for each component, failed where something was found."""
     names = dict.fromkeys([*verdict.judged, *(finding.component for finding in verdict.findings)])
-    cases = [Case(verdict.log, name, tuple(_failures(verdict, name))) for name in names]
+    cases = [
+        Case(verdict.log, name, tuple(_failures(verdict, name)), doubted(verdict, name)) for name in names
+    ]
     for name in unjudged(verdict.judged, verdict.not_judged):
         if name not in names:
             reasons = [each.reason for each in verdict.not_judged if each.component == name]

@@ -72,6 +72,10 @@ class Finding(_Strict):
         """The component with its element."""
         return f"{self.component} {self.element}".strip().replace("gps", "GPS")
 
+    def may_be(self, component: str) -> bool:
+        """Whether another component may be at fault instead."""
+        return any(each.partition("/")[0] == component for each in self.ambiguous_with)
+
 
 class NotJudged(_Strict):
     """A component about which nothing can be said."""
@@ -138,7 +142,9 @@ class Verdict(_Strict):
         " ended, and what the autopilot said, in order"
     )
     not_judged: tuple[NotJudged, ...]
-    judged: tuple[str, ...] = Field(description="components that were tested")
+    judged: tuple[str, ...] = Field(
+        description="components that were tested; sound, unless a finding has them, or is ambiguous with them"
+    )
     model: Model | None = Field(description="null: none could be identified")
     advice: tuple[str, ...] = Field(description="what to log in the next flight, in the autopilot's words")
     notes: tuple[str, ...] = Field(description="of the reader and the tests, one line each")
@@ -147,6 +153,13 @@ class Verdict(_Strict):
 def unjudged(judged: Sequence[str], not_judged: Sequence[NotJudged]) -> list[str]:
     """Return the components of which nothing was judged."""
     return [each for each in dict.fromkeys(entry.component for entry in not_judged) if each not in judged]
+
+
+def doubted(verdict: Verdict, component: str) -> str:
+    """Say which finding of others a component may be the cause of instead; '': it has its own, or none."""
+    others = [each.name for each in verdict.findings if each.may_be(component)]
+    own = any(each.component == component for each in verdict.findings)
+    return "" if own or not others else f"may be at fault instead of {join(others)}"
 
 
 def unsaid(verdict: Verdict) -> list[NotJudged]:

@@ -190,7 +190,9 @@ def _moments(
         yield Moment(time_s=finding.onset_s, source="diagnose", text=_describe(finding))
     for each in follows:
         finding = each.finding
-        yield Moment(time_s=finding.onset_s, source="diagnose", text=f"it follows: {_describe(finding)}")
+        is_cause = any(f"{finding.component}/{finding.element}" in one.ambiguous_with for one in findings)
+        how = "it may be the cause instead" if is_cause else "it follows"
+        yield Moment(time_s=finding.onset_s, source="diagnose", text=f"{how}: {_describe(finding)}")
     yield Moment(time_s=ending.time_s, source="diagnose", text=ending.sentence)
     yield from _limit_moments(flight)
     for event in flight.log.events:
