@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,13 @@ def soak_scenario(
         disturbances=", ".join(f"{{{CONSTANT_DISTURBANCE}, {each}}}" for each in disturbances),
     )
     return parse_scenario(text)
+
+
+def choose(names: Iterable[str], only: str) -> list[str]:
+    """Return the names that have ``only`` in them; ValueError if none has."""
+    if not (chosen := [name for name in names if only in name]):
+        raise ValueError(f"--only: nothing has '{only}' in it")
+    return chosen
 
 
 def best_scheduling() -> Scheduling:

@@ -32,10 +32,10 @@ from quadftc_bags.bag import Bag, read_bag
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.runs import GRAPHS
 from quadftc_flight.scenario import node_parameters
-from quadftc_ros.conversions import NANOSECONDS
+from quadftc_ros.conversions import NANOSECONDS, time_message
 from quadftc_ros.diagnostics import ERROR, WARN
 from quadftc_ros.topics import TOPICS
-from quadftc_tools.soak.flights import attitude_error, best_scheduling, soak_scenario, statuses
+from quadftc_tools.soak.flights import attitude_error, best_scheduling, choose, soak_scenario, statuses
 
 NAME = "intruder"
 START, AFTER = 6.0, 3.0  # s; before the attack, which waits for its process, and behind it
@@ -68,8 +68,7 @@ def _vector(frame: str, now_ns: int, x: float = 0.0, ahead: float = 0.0) -> Vect
 def _time(now_ns: int, ahead: float) -> Time:
     if ahead == EVER:
         return Time(sec=2**31 - 1, nanosec=2**32 - 1)
-    sec, nanosec = divmod(now_ns + round(ahead * NANOSECONDS), NANOSECONDS)
-    return Time(sec=sec, nanosec=nanosec)
+    return time_message(now_ns + round(ahead * NANOSECONDS))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,9 +125,7 @@ class Trial:
 
 def soak(graph: str, duration: float, seed: int, only: str) -> Iterator[Trial]:
     """Fly once with each attack that has ``only`` in its name; ValueError if that leaves none."""
-    if not (chosen := [name for name in ATTACKS if only in name]):
-        raise ValueError(f"--only: nothing has '{only}' in it")
-    for name in chosen:
+    for name in choose(ATTACKS, only):
         with tempfile.TemporaryDirectory(prefix="quadftc_soak_") as folder:
             bag = Path(folder, "bag")
             yield judge(name, _fly(name, graph, duration, seed, bag), read_bag(bag))

@@ -21,7 +21,7 @@ from pathlib import Path
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import Scenario, node_parameters
-from quadftc_tools.soak.flights import best_scheduling, soak_scenario
+from quadftc_tools.soak.flights import best_scheduling, choose, soak_scenario
 from quadftc_tools.soak.node_judgement import KILL, Hit, Judge, Record, Trial
 
 STOP, STALL = "stopped for 0.5 s", "stalled 20 ms, ten times"
@@ -52,9 +52,8 @@ TOGETHER = 3  # hits in a flight
 
 def soak(trials: int, seed: int, only: str) -> Iterator[Trial]:
     """Hit so many times, in turn all that has ``only`` in its name; ValueError if that leaves nothing."""
-    chosen = [hit for hit in ALL if only in f"{hit.node} {hit.action} {hit.stress}"]
-    if not chosen:
-        raise ValueError(f"--only: nothing has '{only}' in it")
+    named = {f"{hit.node} {hit.action} {hit.stress}": hit for hit in ALL}
+    chosen = [named[name] for name in choose(named, only)]
     for number, hits in enumerate(flights_of(chosen, trials, random.Random(seed))):
         yield from fly_and_judge(hits, seed * 1000 + number)
 

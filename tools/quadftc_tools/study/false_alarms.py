@@ -17,7 +17,6 @@ import argparse
 import json
 import subprocess
 import sys
-import tempfile
 import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,13 +33,11 @@ from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.inspection.verdict import Finding, Verdict
 from quadftc_replay.overlay import faults_from
-from quadftc_replay.readers import read_log
-from quadftc_replay.writers import WRITERS
 from quadftc_tools.study.league import simulated_logs
-from quadftc_tools.study.numbers import poisson_interval, share_interval
+from quadftc_tools.study.numbers import poisson_interval, write_share
 from quadftc_tools.study.page import NOTHING, Tables, markdown, run_study
 from quadftc_tools.study.random_flights import Loss
-from quadftc_tools.study.simulated_logs import fly_log
+from quadftc_tools.study.simulated_logs import as_logged, fly_log
 
 AUTOPILOTS = {"ardupilot": "ArduPilot", "px4": "PX4"}  # writer -> how the names of its formats begin
 SHORTEST, LONGEST = 30.0, 150.0  # s
@@ -110,17 +107,12 @@ def judge_seed(
     if is_faulty and channel == "rotor":
         loss = Loss(rng.random(), rng.uniform(0.15, 1.0), onset)
     flight, log = fly_log(seed, seconds, loss)
-    with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
-        for name, write in WRITERS.items():
-            path = Path(folder, name)
-            write(log, path)
-            read, truth = read_log(path), None
-            if loss is not None:
-                truth = Truth("rotor", str(flight.rotor), onset, loss.share)
-            elif is_faulty:
-                read, truth = with_offset(read, channel, onset, rng, seed)
-            if name in autopilots:
-                yield Judged(seed, flight.base, name, truth, inspect(read).verdict)
+    truth = None if loss is None else Truth("rotor", str(flight.rotor), onset, loss.share)
+    for name, read in as_logged(log):
+        if is_faulty and loss is None:
+            read, truth = with_offset(read, channel, onset, rng, seed)  # noqa: PLW2901
+        if name in autopilots:
+            yield Judged(seed, flight.base, name, truth, inspect(read).verdict)
 
 
 def with_offset(
@@ -166,14 +158,10 @@ def healthy_table(judged: Sequence[Judged], group: str) -> str:
 
 def _healthy_row(autopilot: str, group: str, judged: Sequence[Judged]) -> Sequence[str]:
     hours, flights = sum(each.hours for each in judged), len(judged)
-    wrong, findings = (
-        sum(each.score > 0.0 for each in judged),
-        sum(len(each.verdict.findings) for each in judged),
-    )
-    low, high = share_interval(wrong, flights)
+    wrong = sum(each.score > 0.0 for each in judged)
+    findings = sum(len(each.verdict.findings) for each in judged)
     least, most = poisson_interval(findings)
-    name = f"{AUTOPILOTS.get(autopilot, '')} {group}".strip()
-    share = f"{100.0 * wrong / flights:.1f} [{100.0 * low:.1f}, {100.0 * high:.1f}]"
+    name, share = f"{AUTOPILOTS.get(autopilot, '')} {group}".strip(), write_share(wrong, flights, 1)
     rate = f"{findings / hours:.2g} [{least / hours:.2g}, {most / hours:.2g}]"
     return name, str(flights), f"{hours:.2f}", str(wrong), share, str(findings), rate
 
@@ -185,15 +173,8 @@ def named_table(judged: Iterable[Judged]) -> str:
         if each.truth is not None:
             logs = f"simulated {AUTOPILOTS[each.autopilot]}" if each.autopilot else "real"
             groups[logs, each.truth.component].append(each)
-    headings = (
-        "logs",
-        "fault of",
-        "faults",
-        "named",
-        "per cent [95 %]",
-        "onset off by, median / 90 %",
-        "size right",
-    )
+    headings = ("logs", "fault of", "faults", "named", "per cent [95 %]")
+    headings += ("onset off by, median / 90 %", "size right")
     return markdown(headings, (_named_row(*key, found) for key, found in sorted(groups.items())))
 
 
@@ -209,21 +190,8 @@ def _named_row(logs: str, component: str, judged: Sequence[Judged]) -> Sequence[
     )
     late = [abs(first.onset_s - truth.onset) for truth, first in named]
     times = " / ".join(f"{np.quantile(late, share):.2f}" for share in (0.5, 0.9)) + " s" if late else NOTHING
-    return (
-        logs,
-        component,
-        str(len(judged)),
-        str(len(named)),
-        _share(len(named), len(judged)),
-        times,
-        str(sized),
-    )
-
-
-def _share(hits: int, count: int) -> str:
-    """Write a share [%] with its exact interval."""
-    low, high = share_interval(hits, count)
-    return f"{100.0 * hits / count:.0f} [{100.0 * low:.0f}, {100.0 * high:.0f}]"
+    hits, faults = len(named), len(judged)
+    return logs, component, str(faults), str(hits), write_share(hits, faults), times, str(sized)
 
 
 def reliability_table(judged: Iterable[Judged]) -> str:
@@ -236,7 +204,7 @@ def reliability_table(judged: Iterable[Judged]) -> str:
     rows: list[Sequence[str]] = []
     for number, found in sorted(held.items()):
         span = f"{BINS[number - 1]:g} to {BINS[number]:g}"
-        rows.append((span, str(len(found)), str(sum(found)), _share(sum(found), len(found))))
+        rows.append((span, str(len(found)), str(sum(found)), write_share(sum(found), len(found))))
     return markdown(("probability", "findings", "true", "per cent [95 %]"), rows)
 
 
@@ -248,26 +216,18 @@ def stored(healthy: Sequence[Judged], faulty: Sequence[Judged]) -> dict[str, obj
         scores = sorted((round(each.score, 4) for each in flown if each.score), reverse=True)
         hours = round(sum(each.hours for each in flown), 3)
         autopilots[format_name] = {"flights": len(flown), "hours": hours, "scores": scores}
-    again = [
-        each
-        for kind in (healthy, faulty)
-        for each in sorted(kind, key=lambda judged: abs(judged.score - 0.9))[:AGAIN]
-    ]
+    again = list[dict[str, object]]()
+    for kind in (healthy, faulty):
+        for each in sorted(kind, key=lambda judged: abs(judged.score - 0.9))[:AGAIN]:
+            flown = {"seed": each.seed, "autopilot": each.autopilot, "is_faulty": each.truth is not None}
+            again.append({**flown, "score": round(each.score, 4)})
     commit = subprocess.run(("git", "rev-parse", "HEAD"), capture_output=True, text=True, check=True).stdout
     return {
         "judge": commit.strip(),
         "first_seed": min(each.seed for each in healthy),
         "vehicles": sorted({each.group for each in healthy}),
         "autopilots": autopilots,
-        "again": [
-            {
-                "seed": each.seed,
-                "autopilot": each.autopilot,
-                "is_faulty": each.truth is not None,
-                "score": round(each.score, 4),
-            }
-            for each in again
-        ],
+        "again": again,
     }
 
 
@@ -276,11 +236,9 @@ def _told(judged: Iterable[Judged]) -> Iterator[Judged]:
     for each in judged:
         for finding in each.verdict.findings:
             if each.truth is None or not each.truth.is_told_by(finding):
+                where = f"seed {each.seed}, {each.autopilot}, {each.group}, {each.truth}"
                 what = f"{finding.name} {finding.kind} at {finding.onset_s:.1f} s, {finding.probability:.3f}"
-                say(
-                    f"wrong: seed {each.seed}, {each.autopilot}, {each.group}, {each.truth}: {what}",
-                    stderr=True,
-                )
+                say(f"wrong: {where}: {what}", stderr=True)
         yield each
 
 

@@ -26,10 +26,9 @@ SHOWN = 3  # findings of a log
 
 def find_logs(data: Path) -> Iterator[Path]:
     """Logs below a folder, in the order of their names."""
-    for folder in FOLDERS:
-        for path in sorted((data / folder).rglob("*")):
-            if path.is_file() and path.suffix.lower() in ENDINGS and path.stem != "LICENSE":
-                yield path
+    for path in (path for folder in FOLDERS for path in sorted((data / folder).rglob("*"))):
+        if path.is_file() and path.suffix.lower() in ENDINGS and path.stem != "LICENSE":
+            yield path
 
 
 def judge_log(path: Path) -> dict[str, object]:

@@ -51,6 +51,12 @@ def write_number(value: float | None) -> str:
     return f"{value:.0f}" if abs(value) >= 10.0**_DIGITS else f"{value:.{_DIGITS}g}"
 
 
+def write_share(hits: int, count: int, decimals: int = 0) -> str:
+    """Write a share as per cent, with its exact interval."""
+    low, high = (100.0 * bound for bound in share_interval(hits, count))
+    return f"{100.0 * hits / count:.{decimals}f} [{low:.{decimals}f}, {high:.{decimals}f}]"
+
+
 def share_interval(hits: int, count: int) -> tuple[float, float]:
     """Interval of a probability by ``hits`` of ``count`` (Clopper and Pearson, 1934)."""
     found = binomtest(hits, count).proportion_ci()

@@ -8,6 +8,7 @@ satellites lags and wanders, two magnetometers are near currents, the battery sa
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -20,6 +21,8 @@ from quadftc_flight.closed_loop import LoopFlyer, loop_of
 from quadftc_flight.loop import LoopOutput
 from quadftc_model.rotations import to_body
 from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_replay.readers import read_log
+from quadftc_replay.writers import WRITERS
 from quadftc_sim.assembly import sample_count
 from quadftc_tools.study.random_flights import RATE, Loss, RandomFlight, draw_flight
 
@@ -50,6 +53,15 @@ def fly_log(seed: int, seconds: float, loss: Loss | None = None) -> tuple[Random
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         flight = draw_flight(rng, seconds, Path(folder), loss)
     return flight, log_of(flight, fly(flight), rng)
+
+
+def as_logged(log: FlightLog) -> Iterator[tuple[str, FlightLog]]:
+    """Yield a log as each autopilot writes it by default, read back, by the name of the writer."""
+    with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+        for name, write in WRITERS.items():
+            path = Path(folder, name)
+            write(log, path)
+            yield name, read_log(path)
 
 
 def fly(flight: RandomFlight) -> Flown:

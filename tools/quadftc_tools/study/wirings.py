@@ -24,12 +24,10 @@ from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle import Vehicle
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.verdict import Verdict
-from quadftc_replay.readers import read_log
-from quadftc_replay.writers import WRITERS
-from quadftc_tools.study.numbers import share_interval
+from quadftc_tools.study.numbers import write_share
 from quadftc_tools.study.page import NOTHING, Tables, markdown, run_study
 from quadftc_tools.study.random_flights import RATE, Loss, RandomFlight, draw_flight
-from quadftc_tools.study.simulated_logs import Floats, Flown, fly, log_of
+from quadftc_tools.study.simulated_logs import Floats, Flown, as_logged, fly, log_of
 
 SECONDS, REST = 8.0, 2.0  # s; of a flight, and before it
 NOISE = 1e-4  # 1; of a quaternion at rest
@@ -74,10 +72,8 @@ def judge_take_off(seed: int, wiring: str) -> Iterator[tuple[RandomFlight, Verdi
         plant = dataclasses.replace(flight.scenario.plant, vehicle=wire(flight.vehicle, wiring, rng))
         scenario = flight.scenario.model_copy(update={"plant": plant})
         log = log_of(flight, after_rest(fly(flight._replace(scenario=scenario)), rng), rng)
-        for name, write in WRITERS.items():
-            path = Path(folder, name)
-            write(log, path)
-            yield flight, inspect(read_log(path)).verdict
+    for _, read in as_logged(log):
+        yield flight, inspect(read).verdict
 
 
 def after_rest(flown: Flown, rng: np.random.Generator) -> Flown:
@@ -117,12 +113,9 @@ def wirings_table(told: Counter[tuple[str, str]]) -> str:
         own = Counter({said: count for (name, said), count in told.items() if name == wiring})
         logs, hits = own.total(), own["response"]
         if logs:
-            low, high = share_interval(hits, logs)
-            share = f"{100.0 * hits / logs:.0f} [{100.0 * low:.0f}, {100.0 * high:.0f}]"
             rotor = str(own["the rotor"]) if wiring == LOST else NOTHING
-            rows.append(
-                (wiring, str(logs), str(hits), share, rotor, str(own["another"]), str(own["nothing"]))
-            )
+            others = rotor, str(own["another"]), str(own["nothing"])
+            rows.append((wiring, str(logs), str(hits), write_share(hits, logs), *others))
     return markdown(headings, rows)
 
 
