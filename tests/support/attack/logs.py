@@ -29,7 +29,7 @@ from attack.flight_table import (
 )
 from attack.ros_logs import mcap, ros1
 from quadftc_replay.dataflash import FORMAT, FORMAT_TYPE, HEAD
-from quadftc_replay.writers.dataflash import TYPES as LETTERS
+from quadftc_replay.writers.ardupilot import TYPES as LETTERS
 
 mavlink: Any = ardupilotmega
 FRD = (1.0, -1.0, -1.0)

@@ -16,8 +16,7 @@ from quadftc_campaign.campaign_file import bags_in, load_campaign
 from quadftc_campaign.campaign_run import chunks_of, fly_chunk
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.flights import flight_scenario
-from quadftc_campaign.open_loop import prepare
-from quadftc_campaign.open_motion import simulate
+from quadftc_campaign.open_loop import prepare, simulate
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.scenario import ScenarioError, parse_scenario, with_seed

@@ -10,7 +10,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_replay.flight_log import FlightLog
-from quadftc_replay.readers import ardupilot_navigation, read_log, ulog_navigation
+from quadftc_replay.readers import ardupilot as ardupilot_reader
+from quadftc_replay.readers import read_log, ulog_navigation
 from quadftc_replay.readers.positioning import pressure_height
 from quadftc_replay.readers.signals import Signals
 
@@ -58,7 +59,7 @@ def ardupilot(instances: bool) -> dict[str, dict[str, np.ndarray]]:
 
 @pytest.mark.parametrize("instances", [True, False])
 def test_ardupilot_tells_sensors_apart_by_a_field_or_by_their_names(instances: bool):
-    log = by(ardupilot_navigation.add_navigation, ardupilot(instances))
+    log = by(ardupilot_reader.add_navigation, ardupilot(instances))
     assert log.field_unit == "mG"
     np.testing.assert_allclose(log.magnetometers[""].value[0], [100.0, -200.0, -300.0])
     np.testing.assert_allclose(log.magnetometers["1"].value[0], [100.0, -200.0, -301.0])

@@ -11,7 +11,7 @@ from quadftc_bags.bag import BagError
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_replay import thinning
 from quadftc_replay.readers import LogChoice, read_log
-from quadftc_replay.readers.mapping import QUANTITIES, load_mapping
+from quadftc_replay.readers.table import QUANTITIES, load_mapping
 
 COUNT = 300
 TIME = '[time]\ncolumn = "t"\n'

@@ -15,8 +15,8 @@ from quadftc_replay.flight_log import Event, FlightLog, Signal
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.layouts import frame_layout
 from quadftc_replay.writers import WRITERS, ardupilot, px4
-from quadftc_replay.writers.dataflash import DataflashWriter
-from quadftc_replay.writers.ulog import UlogWriter
+from quadftc_replay.writers.ardupilot import DataflashWriter
+from quadftc_replay.writers.px4 import UlogWriter
 
 SECONDS = 20.0
 ROTORS = 6

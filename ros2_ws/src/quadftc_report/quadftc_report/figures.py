@@ -33,8 +33,7 @@ from quadftc_model.samples import AXES, FAULT_STATE_NAMES, FAULTY, RECOVERING, S
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report.comparison import Comparison, has_observer
 from quadftc_report.description import Band, Figure, Panel, Trace
-from quadftc_report.position_figures import position_figures
-from quadftc_report.rotor_figures import rotor_figures
+from quadftc_report.free_flight_figures import position_figures, rotor_figures
 from quadftc_report.scene import Scene, envelopes, known, worth
 
 Floats = NDArray[np.float64]

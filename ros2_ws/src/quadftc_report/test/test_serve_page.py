@@ -20,10 +20,9 @@ from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection import diagnosis
 from quadftc_replay.inspection import inspect as tests
 from quadftc_replay.readers import read_log
-from quadftc_report.serve.app import make_app
+from quadftc_report.serve.app import make_app, question_of
 from quadftc_report.serve.job import STAGES, stage_of
 from quadftc_report.serve.jobs import Job, Jobs
-from quadftc_report.serve.page import question_of
 
 TOKEN = "token"
 

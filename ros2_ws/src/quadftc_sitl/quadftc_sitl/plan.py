@@ -18,6 +18,7 @@ The key is optional; any scenario of free flight can be flown without it:
         - {name: gps_step, own: [{set: {SIM_GPS1_GLTCH_X: {uniform: [0, 0.0005]}}, start: 10 s}], flights: 20}
 
 Times are those of the scenario: 0 is when the vehicle has climbed to where its trajectories begin.
+Faults of a catalogue are drawn as campaigns draw: sizes, axes and times may be distributions.
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ import dataclasses
 import math
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 import pydantic
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
+from quadftc_campaign.distributions import KINDS, distribution
 from quadftc_flight.scenario import Check, Document, Problem, Scenario, Scheme, build_scenario, problems_of
 from quadftc_flight.scenario.document import Keys, ScenarioError, parse_document
 from quadftc_model.units import quantity
 from quadftc_sitl.autopilot import NAMES, Autopilot, autopilot_named
-from quadftc_sitl.drawing import draw
 
 KEY = "autopilot"
 USUAL_SCHEME = {
@@ -60,6 +61,21 @@ ACTIONS = ("tell", "lane", "alt_hold", "land", "rtl")
 FINDING = "^(attitude( (roll|pitch|yaw))?|(gyro|accelerometer)( [xyz])?|rotor( [1-9][0-9]?)?)$"
 PARAMETER = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 FAILURE = re.compile(r"(gyro|accelerometer|magnetometer|barometer|gps)(?: ([1-9]))? (off|stuck)")
+Seconds = Annotated[float, BeforeValidator(lambda raw: quantity(raw, "s")), Field(ge=0.0, le=3600.0)]
+ParameterName = Annotated[str, Field(pattern=f"^{PARAMETER.pattern}$")]
+ParameterValue = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def draw(raw: object, generator: np.random.Generator) -> object:
+    """Return plain data with each distribution in it replaced by a value; ValueError for a wrong one."""
+    if isinstance(raw, list):
+        return [draw(each, generator) for each in cast("list[object]", raw)]
+    if not isinstance(raw, Mapping):
+        return raw
+    given = cast("Mapping[str, object]", raw)
+    if any(key in KINDS for key in given):
+        return distribution(given).draw(generator)
+    return {key: draw(value, generator) for key, value in given.items()}
 
 
 def _one_of(*names: str) -> AfterValidator:
@@ -69,11 +85,6 @@ def _one_of(*names: str) -> AfterValidator:
         return name
 
     return AfterValidator(check)
-
-
-Seconds = Annotated[float, BeforeValidator(lambda raw: quantity(raw, "s")), Field(ge=0.0, le=3600.0)]
-ParameterName = Annotated[str, Field(pattern=f"^{PARAMETER.pattern}$")]
-ParameterValue = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Shape(BaseModel):

@@ -24,7 +24,8 @@
 `ardupilot_tables` says how rotors are told.
 
 The frames are north-east-down and forward-right-down; `frames` turns them. The attitude is ArduPilot's own
-estimate, to which these gyros have contributed.
+estimate, to which these gyros have contributed. Since version 4.0 one message tells sensors apart by a field;
+before, each had a message of its own. What the autopilot holds of their health goes to the events.
 
 Source: ArduPilot, libraries/AP_Logger/LogStructure.h, AP_InertialSensor, AP_AHRS, AP_NavEKF3, AP_ESC_Telem,
 AP_BattMonitor (LogStructure.h each), AP_Motors/AP_MotorsMulticopter.cpp, SRV_Channel/SRV_Channel.h.
@@ -33,7 +34,7 @@ AP_BattMonitor (LogStructure.h each), AP_Motors/AP_MotorsMulticopter.cpp, SRV_Ch
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,6 @@ from quadftc_model.rotations import quaternion_from_euler
 from quadftc_replay.dataflash import DataflashLog, read_dataflash, text_of
 from quadftc_replay.dataflash_text import read_dataflash_text
 from quadftc_replay.flight_log import FlightLog
-from quadftc_replay.readers.ardupilot_navigation import add_navigation
 from quadftc_replay.readers.ardupilot_tables import (
     INSTANCES,
     Table,
@@ -53,8 +53,12 @@ from quadftc_replay.readers.ardupilot_tables import (
     instances_of,
     stamps_of,
 )
+from quadftc_replay.readers.positioning import Fixes, add_receiver
 from quadftc_replay.readers.signals import Signals, columns, sound
 
+MAGNETOMETERS, BAROMETERS = ("MAG", "MAG2", "MAG3"), ("BARO", "BAR2", "BAR3")
+RECEIVERS, ACCURACIES = ("GPS", "GPS2"), ("GPA", "GPA2")
+_FIELD, _MOTION = ("MagX", "MagY", "MagZ"), ("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ")
 FORMAT, FORMAT_TEXT = "ArduPilot BIN", "ArduPilot log"
 
 ESTIMATES = ("XKF1", "NKF1", "EKF1")
@@ -271,3 +275,52 @@ def _add_events(signals: Signals, messages: Mapping[str, Table]) -> None:
         said += [(int(stamp), "EV", name) for stamp, name in known if name]
     for stamp, source, text in sorted(said):
         signals.say(stamp, source, text)
+
+
+def add_navigation(signals: Signals, messages: Mapping[str, Table]) -> None:
+    """Add every magnetometer, barometer and satellite receiver."""
+    for name, source, table in _each(messages, MAGNETOMETERS, *_FIELD):
+        field = flu_from_frd(columns(table, _FIELD))
+        if np.any(field):
+            signals.add("magnetometers", stamps_of(table), field, source, name)
+            _add_health(signals, table, source)
+    for name, source, table in _each(messages, BAROMETERS, "Alt"):
+        signals.add("barometers", stamps_of(table), table["Alt"], source, name)
+        _add_health(signals, table, source)
+    accuracies = {name: table for name, _, table in _each(messages, ACCURACIES, "HAcc")}
+    for name, source, table in _each(messages, RECEIVERS, *_MOTION):
+        latitude, longitude, height, speed, course, down = columns(table, _MOTION).T
+        stamp_ns, course = stamps_of(table), np.radians(course)
+        unknown = np.full(len(stamp_ns), np.nan)
+        claims = accuracies.get(name)
+        said = Fixes(
+            *(latitude, longitude, height),
+            velocity=np.stack([speed * np.sin(course), speed * np.cos(course), -down], axis=-1),
+            fix=np.asarray(table.get("Status", unknown), np.float64),
+            satellites=np.asarray(table.get("NSats", unknown), np.float64),
+            accuracy=at(stamp_ns, claims, "HAcc") if claims else unknown,
+        )
+        add_receiver(signals, stamp_ns, said, source, name)
+
+
+def _each(messages: Mapping[str, Table], names: Sequence[str], *fields: str) -> list[tuple[str, str, Table]]:
+    """Every sensor of a kind: its name (the first has none), its name in the log, its samples."""
+    found = instances_of(messages.get(names[0]), *fields)
+    for number, name in enumerate(names[1:], 1):
+        if number not in found and (table := instances_of(messages.get(name), *fields).get(0)):
+            found[number] = table
+    order = sorted(found.items())
+    return [
+        ("" if number == order[0][0] else str(number), f"{names[0]} {number}", table)
+        for number, table in order
+    ]
+
+
+def _add_health(signals: Signals, table: Table, source: str) -> None:
+    """Say when the autopilot takes a sensor for unhealthy, and when no more."""
+    health = next((table[name] for name in ("Health", "H") if name in table), None)
+    if health is None:
+        return
+    stamp_ns, healthy = stamps_of(table), health > 0
+    for row in np.flatnonzero(np.diff(healthy, prepend=True)).tolist():
+        signals.say(int(stamp_ns[row]), source, "healthy" if healthy[row] else "unhealthy")

@@ -14,6 +14,8 @@ A message has the fields that the log knows; one of which it knows none is left 
 ArduCopter 4.7 (logs of its simulation). The frame is the one of ArduPilot whose rotors are nearest to those
 of the vehicle: ``FRAME_CLASS``, ``FRAME_TYPE``, and ``SERVOn_FUNCTION``, as they may count in another order.
 
+`quadftc_replay.dataflash` shows the bytes: formats of the messages come first, then all messages by time.
+
 Source: ArduPilot, libraries/AP_Logger/LogStructure.h, ArduCopter/Log.cpp.
 """
 
@@ -21,16 +23,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pymavlink.DFReader import FORMAT_TO_STRUCT  # type: ignore[import-untyped]
 
+from quadftc_model.arrays import AnyArray
 from quadftc_model.frames import enu_from_ned, flu_from_frd
 from quadftc_model.rotations import euler_from_quaternion
+from quadftc_replay.dataflash import BEGIN, FORMAT, FORMAT_TYPE, HEAD, numpy_type
 from quadftc_replay.flight_log import FlightLog, Floats, Signal
 from quadftc_replay.readers.ardupilot_tables import CLASSES, FRAMES, MOTOR_FUNCTIONS
 from quadftc_replay.readers.layouts import frame_layout
-from quadftc_replay.writers.dataflash import STAMP, DataflashWriter
 from quadftc_replay.writers.sampling import (
     RPM,
     degrees_from,
@@ -42,6 +47,9 @@ from quadftc_replay.writers.sampling import (
     torque_and_thrust,
 )
 
+TYPES = cast("dict[str, tuple[str, float | None, object]]", FORMAT_TO_STRUCT)  # letter: code, factor, class
+FORMAT_LETTERS, FORMAT_FIELDS = "BBnNZ", "Type,Length,Name,Format,Columns"
+STAMP = "TimeUS"
 RATES = {
     "IMU": 25.0,
     **dict.fromkeys(("ATT", "RATE", "RCOU"), 10.0),
@@ -59,6 +67,60 @@ DEFAULTS = {
     "LOG_BITMASK": 180222.0,
 }  # of 4.7
 IN_THE_ORDER = {motor: function for function, motor in MOTOR_FUNCTIONS.items()}  # SERVOn_FUNCTION by motor
+
+
+class DataflashWriter:
+    """Collects the messages of a log; `write` puts them into a file."""
+
+    def __init__(self) -> None:
+        self._formats = {"FMT": (FORMAT_TYPE, FORMAT_LETTERS, FORMAT_FIELDS)}  # name: type, letters, fields
+        self._rows: list[tuple[int, bytes]] = []  # stamp [µs], message
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the messages, in the order in which they were added first."""
+        return tuple(self._formats)[1:]
+
+    def add(self, name: str, letters: str, fields: Mapping[str, ArrayLike]) -> None:
+        """Add messages; ``fields`` are (n,) or one value, ``TimeUS`` [µs] (n,) the first of them.
+
+        Numbers are in the unit of the field; what is beyond the range of its type becomes the nearest end. A
+        name has one format; another one is a ValueError.
+        """
+        kind, *known = self._formats.setdefault(name, (len(self._formats), letters, ",".join(fields)))
+        if known != [letters, ",".join(fields)]:
+            raise ValueError(f"{name}: expected the fields {known[1]} of the types {known[0]}")
+        stamps = np.atleast_1d(np.asarray(fields[STAMP], np.int64))
+        codes = [TYPES[letter] for letter in letters]
+        pairs = [(field, numpy_type(code[0])) for field, code in zip(fields, codes, strict=True)]
+        table = np.zeros(len(stamps), np.dtype([("head", "S2"), ("kind", "u1"), *pairs]))
+        table["head"], table["kind"] = HEAD, kind
+        for (_, factor, _), (field, values) in zip(codes, fields.items(), strict=True):
+            table[field] = _encode(np.asarray(values), factor, table.dtype[field])
+        self._rows += [(int(stamp), row.tobytes()) for stamp, row in zip(stamps, table, strict=True)]
+
+    def write(self, path: Path) -> None:
+        """Write the log: its formats, then its messages by time; those of one time in the order of `add`."""
+        begin: list[bytes] = []
+        for name, (kind, letters, fields) in self._formats.items():
+            texts = (each.encode() for each in (name, letters, fields))
+            begin.append(HEAD + bytes([FORMAT_TYPE]) + FORMAT.pack(kind, _length(letters), *texts))
+        rows = (row for _, row in sorted(self._rows, key=lambda each: each[0]))
+        path.write_bytes(b"".join([*begin, *rows]))
+
+
+def _length(letters: str) -> int:
+    return BEGIN + sum(np.dtype(numpy_type(TYPES[letter][0])).itemsize for letter in letters)
+
+
+def _encode(values: AnyArray, factor: float | None, kind: np.dtype) -> AnyArray:
+    if kind.kind == "S":
+        return values
+    scaled = values / factor if factor else values
+    if kind.kind == "f":
+        return scaled
+    ends = np.iinfo(kind)
+    return np.clip(np.rint(scaled), ends.min, ends.max)
 
 
 def write_ardupilot(log: FlightLog, path: Path) -> tuple[str, ...]:
