@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from quadftc_replay.flight_log import FlightLog, Floats, Signal
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
-from quadftc_replay.inspection.response import response_findings, wirings
+from quadftc_replay.inspection.response import Motion, find_wiring, response_findings, wirings
 from quadftc_replay.inspection.rotor_trim import normalised
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.layouts import frame_layout
@@ -120,6 +120,20 @@ def test_sound_vehicle_answers_the_right_way_even_if_something_pushes_it_over():
     assert pushed.attitude is not None
     assert np.any(Rotation.from_quat(pushed.attitude.value).as_matrix()[:, 2, 2] < 0.0)  # it turns over
     assert response_findings(prepare(pushed)) == []
+
+
+@pytest.mark.parametrize(("rising", "may_be_held"), [(0.0, False), (1.0, True)])
+def test_ground_is_named_as_well_where_more_thrust_may_turn_the_vehicle_over(
+    rising: float, may_be_held: bool
+):
+    time = np.linspace(0.01, 0.3, 30)
+    asked = np.stack([-time, *np.zeros((2, len(time)))], axis=1)  # roll, ever more against the motion
+    integral = np.cumsum(asked @ BODY + (HOVER + rising * time)[:, None], axis=0) * time[0]
+    turned = -GAIN * np.cumsum(asked, axis=0) * time[0]
+    wiring = find_wiring(Motion(time, turned, {0.0: integral}), BODY, LAYOUT.positions)
+    assert wiring is not None
+    assert wiring.wrong == (0,)
+    assert ("held by the ground" in wiring.others) == may_be_held
 
 
 def test_vehicle_that_flew_before_it_turns_over_is_wired_right():

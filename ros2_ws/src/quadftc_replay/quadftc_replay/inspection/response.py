@@ -13,7 +13,7 @@ rotor i is a rotor that gives no thrust.
 
 A vehicle that turns over as it takes off has shown only this motion. A wiring has to explain nearly all of
 it, and far more than a sound vehicle that has lost a rotor, or is pushed. On the ground a rotor that does
-not start may look the same; then it is named as well.
+not start, or a foot that is caught, may look the same; then it is named as well.
 """
 
 from __future__ import annotations
@@ -48,9 +48,10 @@ AXES = ("roll", "pitch", "yaw")
 BEGINS = 0.1  # 1; of its greatest rate, at which the vehicle begins to turn
 SETTLES = 0.6  # s; of commands before, for the lag: four of the longest lag
 FEWEST = 4  # samples of the gyro
-LEFT = 0.005  # 1; of the motion, that no model explains: commands are known ten times a second
-EXPLAINS = 0.95  # 1; of the motion, that a wiring has to explain
-BETTER = 2.0  # 1; times as much that a sound vehicle leaves of it
+LEFT = 0.001  # 1; of the motion, that no model explains: commands are known ten times a second
+EXPLAINS = 0.99  # 1; of the motion, that a wiring has to explain, or
+MOST = 0.9  # 1; of what a sound vehicle leaves of it
+BETTER = 2.0  # 1; times as much that a sound vehicle leaves
 HALF = 0.5  # 1; of what an axis answers, that turns the vehicle about another one
 ALIKE = 1.0 - ASIDE**2  # 1; of the motion, from which a lost rotor is named as well
 ALONG = 0.7  # 1; cosine of 45 deg: an axis that answers less along itself answers the wrong way
@@ -306,7 +307,7 @@ def find_wiring(motion: Motion, layout: Floats, places: Floats) -> Wiring | None
     pushed = explain(motion, layout, np.inf)
     others = [fit for name, fit in fits.items() if name not in tilts]
     sound = min(each.left for each in (pushed, *losses, *others))
-    if best.share < EXPLAINS or sound < BETTER * best.left:
+    if not _is_explained(best.left, sound):
         return None
     alike = sorted(
         (name for name in tilts if fits[name].left < BETTER * best.left), key=lambda name: fits[name].left
@@ -316,13 +317,40 @@ def find_wiring(motion: Motion, layout: Floats, places: Floats) -> Wiring | None
     wrong = np.flatnonzero(common if common.any() else own[0] < ALONG)
     tilting = wrong[wrong < 2] if np.any(wrong < 2) else wrong
     rotor = int(np.argmin([each.left for each in losses]))
+    likewise = (f"rotor/{rotor + 1}",) if losses[rotor].share > ALIKE else ()
+    if _held_by_ground(motion, layout) < BETTER * best.left:
+        likewise = (*likewise, "held by the ground")
     return Wiring(
         said=", or ".join(alike[:2]),
         wrong=tuple(wrong.tolist()),
         is_turned=bool(np.all(own[0, tilting] > -HALF)),
         score=sound / best.left,
-        others=(f"rotor/{rotor + 1}",) if losses[rotor].share > ALIKE else (),
+        others=likewise,
     )
+
+
+def _held_by_ground(motion: Motion, layout: Floats) -> float:
+    """Share of a motion that a sound vehicle leaves which the ground, or what it is caught in, turns over.
+
+    That turns it in proportion to the thrust beyond some level: its push is a + c mean(u), any a and c.
+    """
+    elapsed = np.arange(1.0, len(motion.time) + 1.0)  # samples of the gyro
+    total, left = max(float(np.sum(motion.turned**2)), 1e-12), list[float]()
+    for drive in motion.commands.values():
+        pushes = np.linalg.qr(np.column_stack([row_means(drive), elapsed]))[0]
+        asked, turned = (
+            each - pushes @ (pushes.T @ each) for each in ((drive @ layout.T)[:, :2], motion.turned[:, :2])
+        )
+        gain = _gain(asked, turned)
+        yaw = motion.turned[:, 2] - gain * (drive @ layout[2])
+        left.append(float(np.sum((turned - gain * asked) ** 2) + np.sum(yaw**2)))
+    return min(left) / total + LEFT
+
+
+def _is_explained(left: float, sound: float) -> bool:
+    """Whether a wiring leaves little enough of the motion, against what a sound vehicle leaves."""
+    is_little = left < 1.0 - EXPLAINS + LEFT or left < (1.0 - MOST) * sound
+    return is_little and sound > BETTER * left
 
 
 def _yaw_reversed(motion: Motion, layout: Floats, _places: Floats) -> Wiring | None:
@@ -340,7 +368,7 @@ def _yaw_reversed(motion: Motion, layout: Floats, _places: Floats) -> Wiring | N
     row = layout[2]
     best, sound = left(-row), left(row)
     losses = [left(_without(layout, k)[2]) for k in range(len(row))]
-    if best > 1.0 - EXPLAINS + LEFT or min(sound, *losses) < BETTER * best:
+    if not _is_explained(best, min(sound, *losses)):
         return None
     pushed = left(row, is_pushed=True)
     others = () if pushed > BETTER * best else ("a rotor that is not upright",)
