@@ -193,12 +193,12 @@ def _is_shaken(log: FlightLog, span: Interval) -> bool:
 
 def _turning(level: Signal) -> list[Interval]:
     """Stretches, long enough for a flight, in which the rotors are above a share of their usual level."""
-    time, smooth = level.time, _smooth(level)[:, 0]
-    turning = smooth[smooth > SPINNING * smooth.max()] if smooth.max() > 0.0 else smooth[:0]
+    time, mean = level.time, smooth(level)[:, 0]
+    turning = mean[mean > SPINNING * mean.max()] if mean.max() > 0.0 else mean[:0]
     if not len(turning):
         return []
     found: list[Interval] = []
-    for run in runs_of(smooth > FLYING * float(np.median(turning))):
+    for run in runs_of(mean > FLYING * float(np.median(turning))):
         first, last = float(time[run.start]), float(time[run.stop - 1])
         if found and first - found[-1].end < BRIDGED:
             found[-1] = Interval(found[-1].start, last)
@@ -214,8 +214,8 @@ def _flown(level: Signal, end: float, flights: Iterable[Interval]) -> tuple[Inte
     return tuple(each for each in trimmed if each.end - each.start >= SHORTEST)
 
 
-def _smooth(signal: Signal) -> Floats:
-    """Means over `SMOOTH` (n, k)."""
+def smooth(signal: Signal) -> Floats:
+    """Means of a signal (n, k) over `SMOOTH` (n, k)."""
     count = max(1, round(SMOOTH * signal.rate))
     return np.asarray(ndimage.uniform_filter1d(np.nan_to_num(signal.value), count, axis=0), np.float64)
 
@@ -230,8 +230,8 @@ def _off_the_ground(log: FlightLog, level: Signal, flights: Sequence[Interval]) 
     if force is None:
         yield from flights
         return
-    time, shares = level.time, _smooth(level)[:, 0]
-    weight = np.linalg.norm(Signal(force.time, _smooth(force)).at(time), axis=1) / STANDARD_GRAVITY
+    time, shares = level.time, smooth(level)[:, 0]
+    weight = np.linalg.norm(Signal(force.time, smooth(force)).at(time), axis=1) / STANDARD_GRAVITY
     still = lies_still(log, time) & (np.abs(weight - 1.0) < HELD)
     count = max(1, round(CRASH * level.rate))
     for each in flights:
@@ -266,8 +266,8 @@ def lies_still(log: FlightLog, time: Floats) -> Mask:
     still = np.full(len(time), bool(gyros))
     for each in gyros:
         rates: Floats = np.nan_to_num(each.value[:, :2])  # zero on average, as yaw need not be
-        slow = _smooth(Signal(each.time, rates - np.median(rates, axis=0)))
-        square = _smooth(Signal(each.time, slow**2))
+        slow = smooth(Signal(each.time, rates - np.median(rates, axis=0)))
+        square = smooth(Signal(each.time, slow**2))
         scatter = np.sqrt(np.clip(Signal(each.time, square).at(time), 0.0, None)).max(axis=1)
         still &= (scatter > 0.0) & (scatter < STILL)
     return still

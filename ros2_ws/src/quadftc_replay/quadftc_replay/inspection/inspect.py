@@ -27,6 +27,7 @@ from quadftc_replay.inspection.readings import absent_findings, noise_findings, 
 from quadftc_replay.inspection.response import response_findings
 from quadftc_replay.inspection.rotors import Rotors, judge_rotors
 from quadftc_replay.inspection.steps import LIMITS, SLOWEST
+from quadftc_replay.inspection.thrust import thrust_findings
 from quadftc_replay.inspection.verdict import NotJudged, Verdict
 from quadftc_replay.inspection.vibration import vibration_findings
 from quadftc_replay.inspection.witnesses import is_tilt, pair_findings, path_findings
@@ -82,7 +83,7 @@ def inspect(
     inspection.found += found
     inspection.judged += judged
     rotors = _rotors(flight, baseline, inspection)
-    inspection.found += [*deaf_findings(flight), *response_findings(flight)]
+    inspection.found += [*deaf_findings(flight), *response_findings(flight), *thrust_findings(flight)]
     progress(0.8)
     if (reason := cannot_judge_battery(flight)) is None:
         inspection.judged.append("battery")

@@ -70,6 +70,8 @@ class Finding(_Strict):
     @property
     def name(self) -> str:
         """The component with its element."""
+        if self.component == "rotor" and not self.element:
+            return "all rotors"
         return f"{self.component} {self.element}".strip().replace("gps", "GPS")
 
     def may_be(self, component: str) -> bool:

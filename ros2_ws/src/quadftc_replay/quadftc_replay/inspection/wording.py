@@ -220,6 +220,7 @@ def _model(model: Identified) -> Model:
 
 def _describe(finding: Finding) -> str:
     size = f" of {show(finding.size, finding.unit)}" if finding.size is not None else ""
+    are_all = finding.name == "all rotors"
     what = {
         "offset": f"{finding.name} has an offset{size}",
         "drift": f"{finding.name} drifts{size.replace(' of ', ' by ')}",
@@ -228,8 +229,8 @@ def _describe(finding: Finding) -> str:
         "saturation": f"{finding.name} is saturated",
         "noise": f"{finding.name} is {'harmful' if finding.component == 'vibration' else 'noisy'}",
         "absent": f"{finding.name} gives no usable reading",
-        "loss": f"{finding.name} lost {_share(finding.size)} of its thrust",
-        "off": f"{finding.name} gives no thrust",
+        "loss": f"{finding.name} lost {_share(finding.size)} of {'their' if are_all else 'its'} thrust",
+        "off": f"{finding.name} {'give' if are_all else 'gives'} no thrust",
         "brownout": f"{finding.name} breaks down",
         "rise": f"{finding.name} rises{size.replace(' of ', ' by ')}",
         "reversed": f"{_axes(finding)} the wrong way",
