@@ -4,15 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from in_c import fly_arrays
 
-from quadftc_compile.engine import CEngine
 from quadftc_control.trajectory import trajectories
+from quadftc_model.arrays import rows_of
 from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import parameters_of
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.rotations import quaternion_from_euler, to_body
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample, PositionSample
-from quadftc_model.stepper import Stepper
 
 DT = 0.004
 MOCAP = PositionEstimator(delay=0.008)
@@ -32,37 +32,55 @@ class Flight:
         self.spin = spin  # rad/s, about the vertical
 
     def inputs(self, sensor, duration):
-        """Inputs of the estimator, and the true motion."""
+        """Inputs of the estimator (n, ...), and the true motion."""
         law, rate, noise, velocity_noise = SENSORS[sensor]
-        rng = np.random.default_rng(self.seed)
-        circle = trajectories.get("circle")(speed=2.0)
-        late, every = round(law.delay / DT), round(1.0 / rate / DT)
-        motion = [circle.sample(index * DT) for index in range(round(duration / DT))]
-        for index, now in enumerate(motion):
-            time = index * DT
-            force = now.acceleration + np.array([0.0, 0.0, STANDARD_GRAVITY])
-            roll, pitch = np.arctan2(-force[1], np.hypot(force[0], force[2])), np.arctan2(force[0], force[2])
-            angles = np.array([roll, pitch, 0.3 + self.spin * time])
-            measured = to_body(quaternion_from_euler(angles), force) + 0.02 * rng.standard_normal(3)
-            q_xyzw = quaternion_from_euler(angles + 0.0017 * rng.standard_normal(3))
-            known = np.bool_(not self.force_lost(time))
-            force = measured + self.bias(time) if known else np.zeros(3)
-            imu = ImuSample(
-                q_xyzw, np.array([0.0, 0.0, self.spin]), force, np.bool_(True), np.bool_(True), known
-            )
-            then = motion[max(index - late, 0)]
-            there = index >= late and (index - late) % every == 0 and not self.silent(time)
-            place = then.position + noise * rng.standard_normal(3) + self.shift(time)
-            speed = (then.velocity + velocity_noise * rng.standard_normal(3)) * law.gives_velocity
-            yield PositionEstimatorInputs(imu, PositionSample(place, speed, np.bool_(there))), now
+        time = DT * np.arange(round(duration / DT))
+        index, late, every = np.arange(len(time)), round(law.delay / DT), round(1.0 / rate / DT)
+        bias, shift, silent, lost = (
+            np.array([each(now) for now in time])
+            for each in (self.bias, self.shift, self.silent, self.force_lost)
+        )
+        draws = np.moveaxis(np.random.default_rng(self.seed).standard_normal((len(time), 4, 3)), 1, 0)
+        motion = trajectories.get("circle")(speed=2.0).sample(time)
+        force = motion.acceleration + np.array([0.0, 0.0, STANDARD_GRAVITY])
+        roll = np.arctan2(-force[:, 1], np.hypot(force[:, 0], force[:, 2]))
+        angles = np.stack([roll, np.arctan2(force[:, 0], force[:, 2]), 0.3 + self.spin * time], axis=-1)
+        measured = to_body(quaternion_from_euler(angles), force) + 0.02 * draws[0] + bias[:, None]
+        imu = ImuSample(
+            quaternion_from_euler(angles + 0.0017 * draws[1]),
+            np.broadcast_to([0.0, 0.0, self.spin], force.shape),
+            np.where(lost[:, None], 0.0, measured),
+            *(np.ones(len(time), np.bool_), np.ones(len(time), np.bool_), ~lost),
+        )
+        then = np.maximum(index - late, 0)
+        there = (index >= late) & ((index - late) % every == 0) & ~silent
+        place = motion.position[then] + noise * draws[2] + shift[:, None]
+        speed = (motion.velocity[then] + velocity_noise * draws[3]) * law.gives_velocity
+        return PositionEstimatorInputs(imu, PositionSample(place, speed, there)), motion
 
     def errors(self, sensor, duration=12.0):
         """Errors of position, velocity and acceleration, and the estimated bias; (n, 3) each."""
-        stepper, out = Stepper(SENSORS[sensor][0], CEngine()), []
-        for index, (inputs, true) in enumerate(self.inputs(sensor, duration)):
-            estimate = stepper.step(round(1e9 * DT) * index, inputs)
-            out.append([a - b for a, b in zip(estimate, true[:3], strict=True)] + [stepper.state.bias])
-        return [np.array(column) for column in zip(*out, strict=True)]
+        inputs, true = self.inputs(sensor, duration)
+        _, (estimate, bias) = fly_arrays(WithBias(SENSORS[sensor][0]), inputs, DT)
+        return [*(a - b for a, b in zip(estimate, true[:3], strict=True)), bias]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WithBias:
+    """The estimator, whose output tells the bias, too."""
+
+    law: PositionEstimator
+
+    def init(self, inputs):
+        return self.law.init(inputs)
+
+    def step(self, state, inputs, dt):
+        state, estimate = self.law.step(state, inputs, dt)
+        return state, (estimate, state.bias)
+
+
+def in_turn(inputs):
+    return [rows_of(inputs, row) for row in range(len(inputs.imu.q_xyzw))]
 
 
 def rms(array, after):
@@ -99,7 +117,7 @@ def test_delay_that_is_not_compensated_is_an_error_of_position(monkeypatch):
     late = dataclasses.replace(GPS, delay=0.0)
     with_it = rms(Flight().errors("gps")[0], 4.0)
     flight = Flight()
-    inputs = list(flight.inputs("gps", 12.0))  # the sensor is late all the same
+    inputs = flight.inputs("gps", 12.0)  # the sensor is late all the same
     monkeypatch.setitem(SENSORS, "gps", (late, *SENSORS["gps"][1:]))
     monkeypatch.setattr(flight, "inputs", lambda *_: inputs)
     assert rms(flight.errors("gps")[0], 4.0) > 2.0 * with_it > 0.0
@@ -133,7 +151,7 @@ def test_position_alone_holds_where_the_force_is_lost():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e9])
 def test_position_that_is_no_number_changes_nothing(value):
-    inputs = [each for each, _ in Flight().inputs("mocap", 2.0)]
+    inputs = in_turn(Flight().inputs("mocap", 2.0)[0])
     state = MOCAP.init(inputs[0])
     for each in inputs:
         state, _ = MOCAP.step(state, each, DT)
@@ -155,7 +173,7 @@ def test_batch_and_jax_equal_the_loop(sensor):
         Flight(seed=2, shift=lambda time: 3.0 if time > 0.3 else 0.0),
         Flight(seed=3, silent=lambda time: time < 0.5, force_lost=lambda time: time > 1.0),
     ]
-    lanes = [[each for each, _ in flight.inputs(sensor, 1.6)] for flight in flights]
+    lanes = [in_turn(flight.inputs(sensor, 1.6)[0]) for flight in flights]
     together = [jax.tree.map(lambda *parts: np.stack(parts), *each) for each in zip(*lanes, strict=True)]
 
     def flown(inputs, step):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -30,6 +32,68 @@ MIX = np.linalg.pinv(GAINS.T)
 HOVER, DT, ONSET, GRAVITY = 0.4, 0.005, 15.0, np.array([0.0, 0.0, 9.80665])
 
 
+class Flown(NamedTuple):
+    """A flight as far as it was flown."""
+
+    rng: np.random.Generator
+    state: tuple[np.ndarray, ...]  # attitude, its estimate, body rate, velocity, thrust of each rotor, gust
+    logged: list[np.ndarray]  # body rate, force, commands, attitude, velocity: a row for each `DT`
+
+
+def at_rest(seed: int) -> Flown:
+    level, still = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3)
+    state = (level, level, still, still, np.full(4, HOVER), np.zeros(3))
+    return Flown(np.random.default_rng(seed), state, [np.zeros((0, k)) for k in (3, 3, 4, 4, 3)])
+
+
+@functools.cache
+def until_onset(seed: int, finds_back: bool) -> Flown:
+    """What all flights have in common whose gyros are not deaf."""
+    return steer(at_rest(seed), ONSET, finds_back=finds_back)
+
+
+def steer(
+    flown: Flown,
+    seconds: float,
+    lost: tuple[int, float] | None = None,
+    gyro: np.ndarray | None = None,
+    stop: float = np.inf,
+    spells: Sequence[tuple[float, float]] = (),
+    deaf: int | None = None,
+    finds_back: bool = False,
+) -> Flown:
+    """Fly on; arguments as of `fly`."""
+    rng, state, logged = copy.deepcopy(flown)
+    q, estimate, rate, velocity, thrust, gust = state
+    held, begin, time = 0.0, len(logged[0]), np.arange(0.0, seconds, DT)
+    logged = [np.concatenate([part, np.zeros((len(time) - begin, part.shape[1]))]) for part in logged]
+    rates, forces, commands, attitudes, velocities = logged
+    for row, now in enumerate(time[begin:], begin):
+        late = float(now >= ONSET)
+        wanted = 0.15 * np.array([np.sin(0.9 * now), np.cos(0.7 * now), 0.0])
+        believed = rate + (late * gyro if gyro is not None else 0.0)
+        if deaf is not None:
+            held = held if late else float(rate[deaf])
+            believed[deaf] = held
+        tilt = 2.0 * estimate[:3] * np.sign(estimate[3])
+        asked = -30.0 * (tilt - wanted) - 10.0 * believed
+        command = np.clip(HOVER + MIX @ asked, 0.0, 1.0)
+        command = command * float(now < stop)
+        thrust += DT / 0.04 * (command - thrust)
+        given = thrust.copy()
+        if lost is not None:
+            given[lost[0]] *= 1.0 - lost[1] * float(any(first <= now < last for first, last in spells))
+        gust += DT * (-gust / 0.5 + 2.0 * rng.standard_normal(3) / np.sqrt(DT))
+        rate = rate + DT * (given @ GAINS + gust)
+        back_to = (q - estimate)[:3] if finds_back else 0.0
+        q, estimate = turn(q, rate * DT), turn(estimate, (believed + back_to) * DT)
+        lift = np.array([0.0, 0.0, given.sum() / (4 * HOVER) * 9.80665])
+        velocity = velocity + DT * (to_earth(q, lift) - GRAVITY)
+        rates[row], forces[row], commands[row] = rate if deaf is None else believed, lift, command
+        attitudes[row], velocities[row] = estimate, velocity
+    return Flown(rng, (q, estimate, rate, velocity, thrust, gust), logged)
+
+
 def fly(
     lost: tuple[int, float] | None = None,
     gyro: np.ndarray | None = None,
@@ -51,36 +115,12 @@ def fly(
     ``spells`` alone. ``deaf``: all gyros are stuck about this axis, before noise is logged.
     ``finds_back``: the estimate does, slowly.
     """
-    rng = np.random.default_rng(seed)
+    begun = until_onset(seed, finds_back) if deaf is None else at_rest(seed)
+    steered = gyro if 0 in wrong else None
+    spells = spells or ((ONSET, back),)
+    rng, _, logged = steer(begun, seconds, lost, steered, stop, spells, deaf, finds_back)
+    rates, forces, commands, attitudes, velocities = logged
     time = np.arange(0.0, seconds, DT)
-    q = estimate = np.array([0.0, 0.0, 0.0, 1.0])
-    rate = velocity = np.zeros(3)
-    thrust, gust, held = np.full(4, HOVER), np.zeros(3), 0.0
-    rates, forces, commands, attitudes, velocities = (np.zeros((len(time), k)) for k in (3, 3, 4, 4, 3))
-    for row, now in enumerate(time):
-        late = float(now >= ONSET)
-        wanted = 0.15 * np.array([np.sin(0.9 * now), np.cos(0.7 * now), 0.0])
-        believed = rate + (late * gyro if gyro is not None and 0 in wrong else 0.0)
-        if deaf is not None:
-            held = held if late else float(rate[deaf])
-            believed[deaf] = held
-        tilt = 2.0 * estimate[:3] * np.sign(estimate[3])
-        asked = -30.0 * (tilt - wanted) - 10.0 * believed
-        command = np.clip(HOVER + MIX @ asked, 0.0, 1.0)
-        command = command * float(now < stop)
-        thrust += DT / 0.04 * (command - thrust)
-        given = thrust.copy()
-        if lost is not None:
-            gone = any(begin <= now < end for begin, end in spells or ((ONSET, back),))
-            given[lost[0]] *= 1.0 - lost[1] * float(gone)
-        gust += DT * (-gust / 0.5 + 2.0 * rng.standard_normal(3) / np.sqrt(DT))
-        rate = rate + DT * (given @ GAINS + gust)
-        back_to = (q - estimate)[:3] if finds_back else 0.0
-        q, estimate = turn(q, rate * DT), turn(estimate, (believed + back_to) * DT)
-        lift = np.array([0.0, 0.0, given.sum() / (4 * HOVER) * 9.80665])
-        velocity = velocity + DT * (to_earth(q, lift) - GRAVITY)
-        rates[row], forces[row], commands[row] = rate if deaf is None else believed, lift, command
-        attitudes[row], velocities[row] = estimate, velocity
 
     def thinned(values: np.ndarray, period: float, noise: float = 0.0) -> Signal:
         stride = round(period / DT)

@@ -137,9 +137,9 @@ def test_slow_error_keeps_its_standard_deviation_from_the_start():
 
 
 def test_slow_error_is_correlated_over_its_correlation_times():
-    errors = wandering(0.0, attitude_wander=0.004)
+    errors = wandering(0.0, dt=0.02, attitude_wander=0.004)
     for lag in (0.1, 1.0):
-        apart = round(lag / 0.01)
+        apart = round(lag / 0.02)
         measured = np.mean(errors[apart:] * errors[:-apart]) / np.mean(errors**2)
         assert measured == pytest.approx(np.mean(np.exp(-lag / np.array(WANDER_TIMES))), abs=0.02)
 
