@@ -347,6 +347,13 @@ def test_weak_rotor_is_named_against_a_healthy_flight_alone():
     assert not inspect(shares(trimmed, 5), shares(trimmed, 4)).verdict.findings
 
 
+def test_weak_rotor_is_told_from_a_centre_of_mass_by_the_yaw_trim():
+    (found,) = inspect(shares([0.85, 0.85, 1.45, 0.85], 3)).verdict.findings
+    assert (found.component, found.element, found.kind) == ("rotor", "3", "loss")
+    assert "centre of mass" in found.ambiguous_with
+    assert not inspect(shares([0.7, 1.0, 1.3, 1.0], 3)).verdict.findings  # as much about roll and pitch
+
+
 def test_baseline_of_rotors_without_a_layout_is_said_to_be_of_no_use():
     log, healthy = (
         dataclasses.replace(shares([1.0] * 4, seed), rotor_positions=None, rotor_yaw_signs=None)

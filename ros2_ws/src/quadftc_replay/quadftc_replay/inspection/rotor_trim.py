@@ -11,6 +11,7 @@ flight of the same vehicle, else with none:
 
     chi²(i) = min over x of (c - x B e_i)' S^-1 (c - x B e_i)
 
+Without a healthy flight, it has to leave less than a centre of mass does, which is all of the yaw trim.
 S says how much trims differ without any fault, from flight to flight or from vehicle to vehicle.
 """
 
@@ -139,6 +140,8 @@ def find_weak(trim: Trim, healthy: Trim | None, layout: Floats | None) -> Weak |
     left = float(weight @ seen**2) - float(explained[rotor])  # such as the yaw trim of a flight in circles
     if explained[rotor] < max(SHARPER, left) or not least < loss < MOST_LOSS:
         return None
+    if healthy is None and left > weight[2] * seen[2] ** 2:
+        return None  # a centre of mass off the middle explains more: it leaves the yaw trim alone
     likely = special.softmax(0.5 * np.concatenate([explained, [SHARPER / 2.0]]))
     others = [int(k) for k in np.flatnonzero(likely[:-1] > NEARLY * likely[rotor]) if k != rotor]
     sigma = float(1.0 / np.sqrt(power[rotor])) * (1.0 - loss) ** 2
