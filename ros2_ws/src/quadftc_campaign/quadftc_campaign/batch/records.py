@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -148,71 +149,77 @@ def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[Record
 
 
 def _naming_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int, int]) -> Record:
-    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("fault_")}
-    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("fault_")}
-    stated = sums["fault_delivered"]
-    judged = marks["fault_sized"] and stated > 0.0
-    named, already = math.isfinite(marks["fault_named_at"]), marks["fault_already"]
-    alarmed = math.isfinite(marks["fault_alarm_at"])
-    shares = {
-        f"{name}_share": sums[f"fault_{name}"] / stated if stated else None
-        for name in ("named", "ambiguous", "misnamed")
+    sums, marks = _of_fault(outcome, "fault", at)
+    stated = sums["delivered"]
+    judged = marks["sized"] and stated > 0.0
+    return {
+        **_naming(event, sums, marks, judged),
+        "alarm_delay_s": _delay(marks["alarm_at"], event.start, judged),
+        "ambiguous_share": sums["ambiguous"] / stated if stated else None,
+        "attitude_error_max_deg": math.degrees(marks["error"]) if stated else None,
     }
+
+
+def _of_fault(outcome: Outcome, kind: str, at: tuple[int, ...]) -> tuple[dict[str, float], dict[str, Any]]:
+    """Return what was tallied of one fault, sums and marks by their names without the ``kind`` of tally."""
+    sums, marks = (
+        {
+            name.removeprefix(f"{kind}_"): each[at].item()
+            for name, each in tallies.items()
+            if name.startswith(f"{kind}_")
+        }
+        for tallies in (outcome.sums, outcome.marks)
+    )
+    return sums, marks
+
+
+def _naming(event: FaultEvent, sums: dict[str, float], marks: dict[str, Any], judged: bool) -> Record:
+    """Return whether and when the faulty element was named, and how long that or something healthy was."""
+    stated, already = sums["delivered"], marks["already"]
     return {
         **event._asdict(),
-        "named": named if judged else None,
+        "named": math.isfinite(marks["named_at"]) if judged else None,
         "already_named": already if judged else None,
-        "naming_delay_s": marks["fault_named_at"] - event.start if judged and named and not already else None,
-        "alarm_delay_s": marks["fault_alarm_at"] - event.start if judged and alarmed else None,
-        **shares,
-        "attitude_error_max_deg": math.degrees(marks["fault_error"]) if stated else None,
+        "naming_delay_s": _delay(marks["named_at"], event.start, judged and not already),
+        "named_share": sums["named"] / stated if stated else None,
+        "misnamed_share": sums["misnamed"] / stated if stated else None,
     }
+
+
+def _delay(moment: float, since: float, is_judged: bool) -> float | None:
+    """Return how much later than another a moment was [s]; None if it never was, or is not judged."""
+    return moment - since if is_judged and math.isfinite(moment) else None
 
 
 def _rotor_fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> Record:
-    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("rotor_")}
-    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("rotor_")}
-    stated, settled = sums["rotor_delivered"], sums["rotor_settled"]
+    sums, marks = _of_fault(outcome, "rotor", at)
+    stated, settled = sums["delivered"], sums["settled"]
     sized = settled > 0.0 and is_sized(event)
-    named, already = math.isfinite(marks["rotor_named_at"]), marks["rotor_already"]
-    delay = marks["rotor_named_at"] - event.start if named and not already else None
     return {
-        **event._asdict(),
-        "named": named if stated else None,
-        "already_named": already if stated else None,
-        "naming_delay_s": delay,
-        "named_share": sums["rotor_named"] / stated if stated else None,
-        "misnamed_share": sums["rotor_misnamed"] / stated if stated else None,
-        "size_error_mean": sums["rotor_error"] / settled if sized else None,
-        "size_error_max": marks["rotor_error_max"] if sized else None,
-        "position_error_max_m": math.sqrt(marks["rotor_away"]) if stated else None,
+        **_naming(event, sums, marks, stated > 0.0),
+        "size_error_mean": sums["error"] / settled if sized else None,
+        "size_error_max": marks["error_max"] if sized else None,
+        "position_error_max_m": math.sqrt(marks["away"]) if stated else None,
     }
 
 
 def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> Record:
-    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("event")}
-    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("event")}
-    known, stated = sums["event_known"], sums["event_delivered"]
-    sized = marks["event_sized"] and stated > 0.0
-    detected = math.isfinite(marks["event_detected"]) if sized else None
-    already = marks["event_already"]
-    trusted = math.isfinite(marks["event_trusted"])
-
-    def delay(name: str, since: float, there: bool | None) -> float | None:
-        return marks[name] - since if there else None
-
+    sums, marks = _of_fault(outcome, "event", at)
+    known, stated, already = sums["known"], sums["delivered"], marks["already"]
+    sized = marks["sized"] and stated > 0.0
+    detected = math.isfinite(marks["detected"]) if sized else None
     return {
         **event._asdict(),
         "detected": detected,
         "already_declared": already if sized else None,
-        "detection_delay_s": delay("event_detected", event.start, detected and not already),
-        "declared_share": sums["event_declared"] / stated if stated else None,
-        "recovered": trusted if detected else None,
-        "recovery_delay_s": delay("event_trusted", event.stop, detected and trusted),
-        "estimate_rmse_deg": math.degrees(math.sqrt(sums["event_squares"] / known)) if known else None,
-        "estimate_bias_deg": math.degrees(sums["event_error"] / known) if known else None,
-        "estimate_max_deg": math.degrees(marks["event_error"]) if known else None,
-        "tracking_rmse_deg": math.degrees(math.sqrt(sums["event_tracking"] / stated)) if stated else None,
+        "detection_delay_s": _delay(marks["detected"], event.start, sized and not already),
+        "declared_share": sums["declared"] / stated if stated else None,
+        "recovered": math.isfinite(marks["trusted"]) if detected else None,
+        "recovery_delay_s": _delay(marks["trusted"], event.stop, bool(detected)),
+        "estimate_rmse_deg": math.degrees(math.sqrt(sums["squares"] / known)) if known else None,
+        "estimate_bias_deg": math.degrees(sums["error"] / known) if known else None,
+        "estimate_max_deg": math.degrees(marks["error"]) if known else None,
+        "tracking_rmse_deg": math.degrees(math.sqrt(sums["tracking"] / stated)) if stated else None,
     }
 
 

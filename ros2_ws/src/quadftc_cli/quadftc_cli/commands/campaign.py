@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 from typer import Argument, Option
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import INTERRUPTED
 from quadftc_cli.commands.options import JunitOption, WorkersOption, workers_here
-from quadftc_cli.screen import Bars, console, warn
+from quadftc_cli.screen import Bars, console, plain_table, warn
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
@@ -144,9 +142,7 @@ def _table(results: Results) -> Table:
 
     shown = (f"{words}: median / 95 %" for words in SHOWN.values())
     of_faults = ("missed faults", "detection delay [s]: median / 95 %", "false alarms an hour")
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("variant", "flights", *shown, *of_faults):
-        table.add_column(escape(heading), justify="left" if heading == "variant" else "right")
+    table = plain_table(("variant",), ("flights", *shown, *of_faults))
     for side in results.sides:
         each = side.summary
         faults = each["faults"].get("all", {})

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from typer import Option
 
@@ -30,38 +31,21 @@ def complete_scenario(incomplete: str) -> list[str]:
     return [name for name in scenario_names() if name.startswith(incomplete)]
 
 
-def _complete_observer(incomplete: str) -> list[str]:
-    from quadftc_fdi.fault_observer import fault_observers
+def _part(module: str, registry: str, what: str) -> Any:
+    """Return the option for another part of a scheme; the shell completes it from a registry."""
 
-    return [name for name in fault_observers.names() if name.startswith(incomplete)]
+    def complete(incomplete: str) -> list[str]:
+        names: tuple[str, ...] = getattr(importlib.import_module(module), registry).names()
+        return [name for name in names if name.startswith(incomplete)]
 
-
-def _complete_disturbance_observer(incomplete: str) -> list[str]:
-    from quadftc_fdi.disturbance_observer import disturbance_observers
-
-    return [name for name in disturbance_observers.names() if name.startswith(incomplete)]
+    return Option(help=f"{what} in place of the scheme's.", autocompletion=complete)
 
 
-def _complete_controller(incomplete: str) -> list[str]:
-    from quadftc_control.controller import controllers
-
-    return [name for name in controllers.names() if name.startswith(incomplete)]
-
-
-ObserverOption = Annotated[
-    str, Option(help="Fault observer in place of the scheme's.", autocompletion=_complete_observer)
-]
+ObserverOption = Annotated[str, _part("quadftc_fdi.fault_observer", "fault_observers", "Fault observer")]
 DisturbanceObserverOption = Annotated[
-    str,
-    Option(
-        "--disturbance-observer",
-        help="Disturbance observer in place of the scheme's.",
-        autocompletion=_complete_disturbance_observer,
-    ),
+    str, _part("quadftc_fdi.disturbance_observer", "disturbance_observers", "Disturbance observer")
 ]
-ControllerOption = Annotated[
-    str, Option(help="Controller in place of the scheme's.", autocompletion=_complete_controller)
-]
+ControllerOption = Annotated[str, _part("quadftc_control.controller", "controllers", "Controller")]
 SetOption = Annotated[
     list[str],
     Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'; may be repeated."),

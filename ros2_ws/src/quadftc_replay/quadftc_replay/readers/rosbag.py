@@ -27,11 +27,10 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from quadftc_bags.ros1 import is_ros1
-from quadftc_flight.run_directory import NO_PARAMETERS, PARAMETERS, attached_text
+from quadftc_flight.run_directory import NO_PARAMETERS, PARAMETERS, attached_text, parse_parameters
 from quadftc_model.rotations import to_earth
 from quadftc_model.samples import ABSENT
 from quadftc_model.vehicle import Vehicle, load_vehicle
@@ -247,8 +246,7 @@ def _add_twist(signals: Signals, data: Columns, name: str) -> None:
 def _vehicle(bag: ColumnBag) -> Vehicle | None:
     """Vehicle of a flight of `quadftc run`, by the parameters in the bag."""
     try:
-        nodes = cast("dict[str, Any]", yaml.safe_load(attached_text(bag, PARAMETERS) or ""))
-        named = [node for name, node in nodes.items() if str(name).rpartition("/")[2] == "fault_observer"]
-        return load_vehicle(str(named[0]["ros__parameters"]["vehicle"]))
-    except (*NO_PARAMETERS, IndexError, OSError):
+        nodes = parse_parameters(attached_text(bag, PARAMETERS) or "")
+        return load_vehicle(str(nodes["fault_observer"]["vehicle"]))
+    except (*NO_PARAMETERS, OSError):
         return None
