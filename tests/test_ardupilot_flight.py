@@ -147,7 +147,7 @@ def test_faults_come_and_go_by_command_while_sitl_flies(flying, capfd):
 
 def test_page_attaches_to_what_ardupilot_flies(flying):
     from quadftc_cli.live import LiveGraph
-    from quadftc_cli.live_page.attached import page_of_running
+    from quadftc_cli.live_page.flying import page_of_running
 
     with LiveGraph() as graph:
         page = page_of_running(graph)

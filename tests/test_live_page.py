@@ -22,10 +22,19 @@ from node_bench import NodeBench, imu_message
 from quadftc_bags.bag import read_bag
 from quadftc_cli.live import LiveGraph
 from quadftc_cli.live_page import charts
-from quadftc_cli.live_page.attached import follow, page_of_running, vehicles_of
 from quadftc_cli.live_page.commander import Commander
 from quadftc_cli.live_page.feed import Feed, Flown, Frame, receive
-from quadftc_cli.live_page.flying import Wish, fly_live, page_of, plan_of, scenario_of, serving
+from quadftc_cli.live_page.flying import (
+    Wish,
+    fly_live,
+    follow,
+    page_of,
+    page_of_running,
+    plan_of,
+    scenario_of,
+    serving,
+    vehicles_of,
+)
 from quadftc_cli.live_page.picture import Picture, amount
 from quadftc_cli.live_page.server import picture_of
 from quadftc_control.controller_node import ControllerNode

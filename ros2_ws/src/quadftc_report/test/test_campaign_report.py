@@ -11,7 +11,7 @@ import pytest
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_model.samples import AXES
-from quadftc_report.campaign_curves import POINTS, ecdf
+from quadftc_report.campaign_page import POINTS, ecdf
 from quadftc_report.report import ReportError, write_campaign_report
 
 SCENARIO = """
