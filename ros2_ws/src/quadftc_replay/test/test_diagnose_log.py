@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from sampling import sampled
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.agreement import Agreement, parts_by
@@ -252,6 +253,19 @@ def test_published_schema_is_that_of_the_verdict(tmp_path: Path):
     text = (tmp_path / "verdict.json").read_text(encoding="utf-8")
     assert Verdict.model_validate_json(text) == verdict
     assert set(json.loads(text)) == set(json.loads(schema())["required"])
+
+
+@pytest.mark.parametrize(("lands", "names"), [(20.0, []), (SECONDS, ["gyro x"])])
+def test_attitude_and_gyro_may_part_once_the_vehicle_has_landed(lands: float, names: list[str]):
+    log = hover()
+    assert log.rotor_commands is not None
+    time = log.gyros[""].time
+    log.rotor_commands.value[time > lands] = 0.0
+    slip = np.interp(time, [20.1, 20.5], [0.0, 0.6])  # rad; it falls over, or the gyro is off
+    turned = Rotation.from_rotvec(np.cumsum(log.gyros[""].value, axis=0) / RATE)
+    attitude = Signal(time, (turned * Rotation.from_euler("x", slip[:, None])).as_quat())
+    found = inspect(dataclasses.replace(log, attitude=attitude, attitude_from_gyro=True)).verdict.findings
+    assert [each.name for each in found] == names
 
 
 def test_junit_counts_what_failed(tmp_path: Path):

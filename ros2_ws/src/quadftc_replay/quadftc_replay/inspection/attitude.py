@@ -70,7 +70,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
     near = np.zeros(len(time), np.bool_)
     for moment in moments:
         near |= np.abs(time - moment) < 2.5 * usual
-    known = ~near & np.any(agreement.rest != 0.0, axis=1)
+    known = watched & ~near & np.any(agreement.rest != 0.0, axis=1)
     rates = np.where(known[:, None], agreement.rest / agreement.dt[:, None], 0.0)
     turning = np.linalg.norm(agreement.turn, axis=1) / agreement.dt
     found: list[Creep] = []
