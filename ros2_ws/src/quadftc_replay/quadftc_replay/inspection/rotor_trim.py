@@ -5,7 +5,7 @@ Steady flight has one equation for each axis, so only the trim
 
     c = B (s - 1),    B = (roll, pitch, yaw) effect of each rotor, every row of length 1
 
-can be known. A rotor that lost the share lambda of its thrust gives c = x B e_i, x = lambda / (1 - lambda). A
+can be known. A rotor that lost the share lambda of its thrust gives c = x B e_i, x = lambda s_i. A
 centre of mass off the middle gives any roll and pitch trim, and no yaw. c is compared with that of a healthy
 flight of the same vehicle, else with none:
 
@@ -37,7 +37,6 @@ LEAST = 3  # blocks
 SHARPER = 7.0  # 1; by which a rotor has to explain c better than no rotor (chi², one degree of freedom)
 LEAST_LOSS = 0.04  # 1
 LEAST_ALONE = 0.25  # 1; without a baseline
-MOST_LOSS = 0.9
 NEARLY = 0.15  # probability of a rotor, relative to the likeliest, from which it is named as well
 
 
@@ -68,6 +67,7 @@ class Weak(NamedTuple):
 
     rotor: int
     loss: float  # 1; share of its thrust
+    more: float  # 1; of the mean, that it is asked for besides
     sigma: float
     score: float  # chi² that it explains
     probability: float
@@ -135,14 +135,15 @@ def find_weak(trim: Trim, healthy: Trim | None, layout: Floats | None) -> Weak |
     size = (weight * seen) @ rows / power
     explained = np.where(size > 0.0, size**2 * power, 0.0)
     rotor = int(np.argmax(explained))
-    loss = float(size[rotor] / (1.0 + size[rotor]))
+    loss = min(float(size[rotor] / trim.share[rotor]), 1.0)
     least = LEAST_ALONE if healthy is None else LEAST_LOSS
     left = float(weight @ seen**2) - float(explained[rotor])  # such as the yaw trim of a flight in circles
-    if explained[rotor] < max(SHARPER, left) or not least < loss < MOST_LOSS:
+    if explained[rotor] < max(SHARPER, left) or loss < least:
         return None
     if healthy is None and left > weight[2] * seen[2] ** 2:
         return None  # a centre of mass off the middle explains more: it leaves the yaw trim alone
     likely = special.softmax(0.5 * np.concatenate([explained, [SHARPER / 2.0]]))
     others = [int(k) for k in np.flatnonzero(likely[:-1] > NEARLY * likely[rotor]) if k != rotor]
-    sigma = float(1.0 / np.sqrt(power[rotor])) * (1.0 - loss) ** 2
-    return Weak(rotor, loss, sigma, float(explained[rotor]), float(likely[rotor]), tuple(others))
+    sigma = float(1.0 / np.sqrt(power[rotor]) / trim.share[rotor])
+    score, probability = float(explained[rotor]), float(likely[rotor])
+    return Weak(rotor, loss, float(size[rotor]), sigma, score, probability, tuple(others))

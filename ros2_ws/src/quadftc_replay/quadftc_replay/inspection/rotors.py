@@ -266,14 +266,14 @@ def _weak_found(flight: Flight, weak: Weak, has_baseline: bool) -> Found:
     against = "against the healthy flight" if has_baseline else "against equal rotors"
     number = weak.rotor + 1
     said = [
-        f"to hold the vehicle level takes {100 * weak.loss / (1.0 - weak.loss):.0f} % more of this rotor"
+        f"to hold the vehicle level takes {100 * weak.more:.0f} % more of this rotor"
         f" ({name}, {against}); this explains {np.sqrt(weak.score):.1f} standard deviations"
     ]
     if not has_baseline:
         said.append("a centre of mass off the middle looks much the same: a healthy flight settles it")
     others = tuple(f"rotor/{k + 1}" for k in weak.others)
     found = make_found(
-        *("rotor", str(number), "loss", flight.intervals[0].start),
+        *("rotor", str(number), "off" if weak.loss > ALL_OF_IT else "loss", flight.intervals[0].start),
         size=weak.loss,
         sigma=weak.sigma,
         unit="1",
