@@ -62,14 +62,18 @@ class Cause(NamedTuple):
     second: str  # the next best cause
 
 
-def path_of(
-    attitude: Signal | None,
-    force: Signal | None,
-    velocity: Signal | None,
-    window: float = WINDOW,
-    smallest: float = SMALLEST,
-) -> Path | None:
-    """Compare the paths; None where a signal is missing or they hardly overlap."""
+class Pushes(NamedTuple):
+    """By how much the velocity changes over windows, over their time; earth axes [m/s²], NaN: not known."""
+
+    time: Floats  # (n,) middle of the window [s]
+    said: Floats  # (n, 3) by attitude and specific force
+    true: Floats  # (n, 3) by the velocity, as much later as leaves least
+
+
+def pushes_of(
+    attitude: Signal | None, force: Signal | None, velocity: Signal | None, window: float = WINDOW
+) -> Pushes | None:
+    """Compare how the velocity changes; None where a signal is missing or they hardly overlap."""
     if attitude is None or force is None or velocity is None:
         return None
     if min(map(len, (attitude, force, velocity))) < LEAST:
@@ -81,26 +85,37 @@ def path_of(
         return None
     q = attitude_at(attitude, force.time)
     earth = to_earth(q, np.nan_to_num(force.value)) - [0.0, 0.0, STANDARD_GRAVITY]
-    gained = _change(time, Signal(force.time, earth).integral(), window)
-    middle = attitude_at(attitude, time)
-    rests = [
-        to_body(middle, (gained - _change(time + delay, velocity, window)) / window)
-        for delay in DELAYS.tolist()
-    ]
-    rest = min(rests, key=lambda each: float(np.median(np.linalg.norm(each, axis=1))))
+    said = _change(time, Signal(force.time, earth).integral(), window) / window
+    delayed = [_change(time + delay, velocity, window) / window for delay in DELAYS.tolist()]
+    true = min(delayed, key=lambda each: float(np.median(np.linalg.norm(said - each, axis=1))))
     known = _covered(time, velocity.time, DELAYS[-1], window) & _covered(time, force.time, 0.0, window)
     cosine = np.abs(np.sum(attitude.value[1:] * attitude.value[:-1], axis=1))
     tumbles = attitude.time[1:][2.0 * np.arccos(np.clip(cosine, 0.0, 1.0)) > TURN]
     known &= ~near_any(time, tumbles, 0.5 * window)
     if known.sum() < LEAST:
         return None
+    return Pushes(time, np.where(known[:, None], said, np.nan), np.where(known[:, None], true, np.nan))
+
+
+def path_of(
+    attitude: Signal | None,
+    force: Signal | None,
+    velocity: Signal | None,
+    window: float = WINDOW,
+    smallest: float = SMALLEST,
+) -> Path | None:
+    """Compare the paths; None where a signal is missing or they hardly overlap."""
+    pushes = pushes_of(attitude, force, velocity, window)
+    if pushes is None or attitude is None:
+        return None
+    time, known = pushes.time, np.isfinite(pushes.said[:, 0])
+    rest = to_body(attitude_at(attitude, time), pushes.said - pushes.true)
     apart = round(window / STEP)
     changes = np.linalg.norm(rest[apart:] - rest[:-apart], axis=1)[known[apart:] & known[:-apart]]
     if len(changes) < LEAST:
         return None
     usual = float(np.quantile(changes, CALM)) / np.sqrt(2.0 * 1.4)  # of two times, of three components
-    known_rest = np.where(known[:, None], rest, np.nan)
-    return Path(time, known_rest, usual, window, smallest) if usual < USABLE else None
+    return Path(time, rest, usual, window, smallest) if usual < USABLE else None
 
 
 def known_path(log: FlightLog, force: Signal | None) -> Path | None:
