@@ -135,7 +135,8 @@ def find_weak(trim: Trim, healthy: Trim | None, layout: Floats | None) -> Weak |
     size = (weight * seen) @ rows / power
     explained = np.where(size > 0.0, size**2 * power, 0.0)
     rotor = int(np.argmax(explained))
-    loss = min(float(size[rotor] / trim.share[rotor]), 1.0)
+    share = max(float(trim.share[rotor]), 1e-9)
+    loss = min(float(size[rotor]) / share, 1.0)
     least = LEAST_ALONE if healthy is None else LEAST_LOSS
     left = float(weight @ seen**2) - float(explained[rotor])  # such as the yaw trim of a flight in circles
     if explained[rotor] < max(SHARPER, left) or loss < least:
@@ -144,6 +145,6 @@ def find_weak(trim: Trim, healthy: Trim | None, layout: Floats | None) -> Weak |
         return None  # a centre of mass off the middle explains more: it leaves the yaw trim alone
     likely = special.softmax(0.5 * np.concatenate([explained, [SHARPER / 2.0]]))
     others = [int(k) for k in np.flatnonzero(likely[:-1] > NEARLY * likely[rotor]) if k != rotor]
-    sigma = float(1.0 / np.sqrt(power[rotor]) / trim.share[rotor])
+    sigma = float(1.0 / np.sqrt(power[rotor])) / share
     score, probability = float(explained[rotor]), float(likely[rotor])
     return Weak(rotor, loss, float(size[rotor]), sigma, score, probability, tuple(others))
