@@ -14,6 +14,7 @@ from quadftc_replay.flight_log import Event, FlightLog, Signal
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.compass import Field, fields_of, owner_by_field
 from quadftc_replay.inspection.flight import Interval, prepare
+from quadftc_replay.inspection.heading import heading_findings
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.verdict import Finding
 
@@ -313,3 +314,39 @@ def test_log_that_loses_messages_by_chance_lacks_no_sensor():
         return Signal(signal.time[kept], signal.value[kept])
 
     assert inspect(changed(log, barometers=thinned, magnetometers=thinned)).verdict.findings == ()
+
+
+@pytest.mark.parametrize(("since", "onset"), [(0.0, 0.0), (ONSET, ONSET)])
+@pytest.mark.parametrize("size", [-0.6, 2.5])
+def test_heading_that_is_wrong_is_told_by_where_the_vehicle_is_pushed(
+    since: float, onset: float, size: float
+):
+    log = fly()
+    assert log.attitude is not None
+    angles = np.zeros((len(log.attitude), 3))
+    angles[log.attitude.time >= since, 2] = size
+    turned = quaternion_product(quaternion_from_euler(angles), log.attitude.value)
+    (found,) = heading_findings(
+        prepare(dataclasses.replace(log, attitude=Signal(log.attitude.time, turned))), END
+    )
+    assert (found.finding.name, found.finding.kind) == ("attitude yaw", "offset")
+    assert found.finding.size == pytest.approx(size, abs=0.1)
+    assert found.finding.onset_s == pytest.approx(onset, abs=1.0)
+    assert found.finding.ambiguous_with == ("magnetometer",)
+
+
+def test_heading_is_right_in_a_healthy_flight_and_not_judged_in_a_hover():
+    log = fly()
+    assert heading_findings(prepare(log), END) == []
+    assert log.attitude is not None
+    level = Signal(
+        log.attitude.time, np.tile([0.0, 0.0, 1.0, 0.0], (len(log.attitude), 1))
+    )  # half a turn off
+    rng = np.random.default_rng(0)
+    time, slow = log.gps_velocities[""].time, log.accelerometers[""].time
+    velocity = Signal(time, 0.05 * rng.standard_normal((len(time), 3)))
+    force = Signal(slow, GRAVITY + 0.05 * rng.standard_normal((len(slow), 3)))
+    hover = dataclasses.replace(
+        log, attitude=level, gps_velocities={"": velocity}, accelerometers={"": force}
+    )
+    assert heading_findings(prepare(hover), END) == []

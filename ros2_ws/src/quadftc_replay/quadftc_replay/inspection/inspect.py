@@ -19,6 +19,7 @@ from quadftc_replay.inspection.flight import Flight, prepare
 from quadftc_replay.inspection.flown_by import flown_findings
 from quadftc_replay.inspection.found import BODY_AXES, Found, component_name
 from quadftc_replay.inspection.gyro import gyro_findings
+from quadftc_replay.inspection.heading import heading_findings
 from quadftc_replay.inspection.navigation import navigation_findings
 from quadftc_replay.inspection.own_attitude import OwnEstimate, estimate, offset_finding, owner_of
 from quadftc_replay.inspection.pairs import owner_by_other
@@ -91,6 +92,8 @@ def inspect(
     else:
         inspection.cannot("battery", reason)
     inspection.found += [*flown_findings(flight), *vibration_findings(flight)]
+    others = [each.finding.onset_s for each in inspection.found]
+    inspection.found += heading_findings(flight, min([*others, ending.time_s]))
     found, follows = first_cause(inspection.found, ending, log.events)
     progress(1.0)
     verdict = make_verdict(
