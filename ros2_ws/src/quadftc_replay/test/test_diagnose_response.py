@@ -13,7 +13,13 @@ from scipy.spatial.transform import Rotation
 from quadftc_replay.flight_log import FlightLog, Floats, Signal
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
-from quadftc_replay.inspection.response import Motion, find_wiring, response_findings, wirings
+from quadftc_replay.inspection.response import (
+    Motion,
+    find_wiring,
+    response_findings,
+    wirings,
+    yaw_reversed,
+)
 from quadftc_replay.inspection.rotor_trim import normalised
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.layouts import frame_layout
@@ -134,6 +140,16 @@ def test_ground_is_named_as_well_where_more_thrust_may_turn_the_vehicle_over(
     assert wiring is not None
     assert wiring.wrong == (0,)
     assert ("held by the ground" in wiring.others) == may_be_held
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.2])
+def test_vehicle_that_spins_while_a_weak_rotor_takes_a_trim_is_wired_right(roll: float):
+    time = np.linspace(0.01, 0.6, 60)
+    asked = np.stack([np.full(len(time), roll), np.zeros(len(time)), -time], axis=1)
+    integral = np.cumsum(asked @ BODY + HOVER, axis=0) * time[0]
+    turned = -GAIN * np.cumsum(asked, axis=0) * time[0] * [0.0, 0.0, 1.0]
+    wiring = yaw_reversed(Motion(time, turned, {0.0: integral}), BODY, LAYOUT.positions)
+    assert (wiring is None) == (roll > 0.0)
 
 
 def test_vehicle_that_flew_before_it_turns_over_is_wired_right():

@@ -89,7 +89,7 @@ def response_findings(flight: Flight) -> list[Found]:
     layout, places = effects(flight.log), flight.log.rotor_positions
     if layout is None or places is None:
         return []
-    for span, find in ((turning_over(flight), find_wiring), (spinning(flight), _yaw_reversed)):
+    for span, find in ((turning_over(flight), find_wiring), (spinning(flight), yaw_reversed)):
         if span is None:
             continue
         if (stands := _rotor_that_stands(flight, span)) is not None:
@@ -353,22 +353,24 @@ def _is_explained(left: float, sound: float) -> bool:
     return is_little and sound > BETTER * left
 
 
-def _yaw_reversed(motion: Motion, layout: Floats, _places: Floats) -> Wiring | None:
+def yaw_reversed(motion: Motion, layout: Floats, _places: Floats) -> Wiring | None:
     """Say whether a vehicle spins against its command, as no rotor that is lost makes it."""
     turned = motion.turned[:, 2:]
-    total = max(float(np.sum(turned**2)), 1e-12)
+    square = max(float(np.sum(turned**2)), 1e-12)
 
     def left(row: Floats, is_pushed: bool = False) -> float:
         """Share of the spin that a row of a layout (rotors,) leaves, behind the best lag."""
         return (
             LEFT
-            + min(_left_of_yaw(turned, drive, row, is_pushed) for drive in motion.commands.values()) / total
+            + min(_left_of_yaw(turned, drive, row, is_pushed) for drive in motion.commands.values()) / square
         )
 
     row = layout[2]
     best, sound = left(-row), left(row)
     losses = [left(_without(layout, k)[2]) for k in range(len(row))]
-    if not _is_explained(best, min(sound, *losses)):
+    total = motion.commands[0.0][-1]  # over the spin
+    trim = float(np.linalg.norm(layout[:2] @ total)) / max(float(total.mean()), 1e-9)
+    if not _is_explained(best, min(sound, *losses)) or trim > TRIM:  # which a weak rotor takes to stay level
         return None
     pushed = left(row, is_pushed=True)
     others = () if pushed > BETTER * best else ("a rotor that is not upright",)
