@@ -70,7 +70,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
     near = np.zeros(len(time), np.bool_)
     for moment in moments:
         near |= np.abs(time - moment) < 2.5 * usual
-    known = watched & ~near & np.any(agreement.rest != 0.0, axis=1)
+    known = ~near & np.any(agreement.rest != 0.0, axis=1)
     rates = np.where(known[:, None], agreement.rest / agreement.dt[:, None], 0.0)
     turning = np.linalg.norm(agreement.turn, axis=1) / agreement.dt
     found: list[Creep] = []
@@ -87,6 +87,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
         means = Signal(time[there], means).at(time)  # straight over what is not known
         moving = ndimage.uniform_filter1d(np.nan_to_num(turning), count)
         swing = _swing(agreement, count)
+        flown = ndimage.minimum_filter1d(watched.astype(np.int8), count) > 0  # all of the window
         for axis in range(3):
             level = min(np.quantile(means[:, axis], HEALTHY).tolist(), key=abs)
             mean = means[:, axis] - (level if abs(level) < least else 0.0)  # no healthy sensor is off by more
@@ -94,7 +95,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Step]) -> l
             changes = mean[count:] - mean[:-count]
             scatter = _scatter(changes, count) / np.sqrt(2.0) + 1e-9
             score = np.where(
-                watched & (share_known > KNOWN),
+                flown & (share_known > KNOWN),
                 np.abs(mean)
                 / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving + usual * swing[:, axis]),
                 0.0,
