@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadftc_compile.build import Entry, Library
-from quadftc_compile.layout import Layout, flatten, layout_of, leaves_of
+from quadftc_compile.layout import Layout, flatten, leaves_of
 from quadftc_compile.memory import Memory, Rows, make_reader, make_writer
 from quadftc_model.numbers import number_at
 
@@ -124,10 +124,6 @@ class CRunner:
     def tree(self, state: object) -> Any:
         """Return the nested tuples of a state: copies."""
         return state.memory.read() if isinstance(state, CState) else state
-
-    def fits(self, inputs: object) -> bool:
-        """Whether inputs have the structure that the law was compiled for."""
-        return layout_of(inputs) == self._library.entries["step"].arguments["inputs"]
 
 
 def _rows(tree: object, layout: Layout) -> list[int]:

@@ -13,7 +13,7 @@ FADE = 1.0  # s; in which an offset is given up
 
 
 class Fade:
-    """An offset of one vehicle; none before `begin` and once it is given up."""
+    """An offset of one vehicle; none before `begin` and once `FADE` is over."""
 
     def __init__(self) -> None:
         self._offset: Components | None = None
@@ -22,10 +22,6 @@ class Fade:
     def begin(self, stamp_ns: int, offset: Components) -> None:
         """Begin at a sample [ns] with an offset (n,)."""
         self._offset, self._since_ns = offset, stamp_ns
-
-    def end(self) -> None:
-        """Give the offset up at once."""
-        self._offset = None
 
     def at(self, stamp_ns: int) -> Components | None:
         """Return what is left of the offset at a sample [ns]; None: nothing."""
