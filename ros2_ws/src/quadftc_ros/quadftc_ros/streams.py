@@ -64,6 +64,12 @@ class Stream:
         if self.count % MEMORY == KNOWN:
             self._periods = None
 
+    def begin(self, mark: Mark, now_ns: int) -> None:
+        """Note a message, and forget those before."""
+        self._marks.clear()
+        self._periods, self.count = None, 0
+        self.add(mark, now_ns)
+
     @property
     def established(self) -> bool:
         """Whether its periods are known."""
