@@ -92,6 +92,15 @@ def test_publisher_that_never_speaks_costs_no_message():
     assert len(wire.send((LEAD, sender(0, 1000, jitter=busy)))) >= 999
 
 
+def test_only_publisher_is_followed_on_when_its_numbers_begin_anew():
+    wire = Wire()
+    wire.publishers = {LEAD: "/driver"}
+    assert wire.send((LEAD, sender(0, 100))) == [LEAD] * 100
+    again = sender(1000 * MS, 100, stamp=lambda now: now - 1000 * MS)
+    assert wire.send((LEAD, again)) == [LEAD] * 100
+    assert wire.streams.followed.count == 100
+
+
 def test_messages_that_are_lost_do_not_end_a_stream():
     wire = Wire()
     wire.publishers = {LEAD: "/driver"}
