@@ -39,6 +39,17 @@ def test_every_package_is_in_the_readme():
     assert [name for name in packages if f"`{name}`" not in table] == []
 
 
+def test_modules_that_the_readme_of_a_package_names_exist():
+    there = {path.name for folder in ("ros2_ws/src", "scripts") for path in (ROOT / folder).rglob("*.py")}
+    named = {
+        (path.parent.name, module)
+        for path in (ROOT / "ros2_ws" / "src").glob("*/README.md")
+        for module in re.findall(r"`(?:[\w-]+/)*([\w-]+\.py)`", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 100
+    assert [each for each in sorted(named) if each[1] not in there] == []
+
+
 def test_scripts_that_documents_name_exist():
     text = "\n".join(path.read_text(encoding="utf-8") for path in DOCUMENTS)
     named = set(re.findall(r"\bscripts/[\w./]*\w", text))
