@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.agreement import Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
+from quadftc_replay.inspection.battery import battery_findings
 from quadftc_replay.inspection.diagnosis import write_verdict, write_verdict_junit
 from quadftc_replay.inspection.flight import Interval, prepare
 from quadftc_replay.inspection.found import make_finding
@@ -176,6 +177,18 @@ def test_accelerometer_that_gets_noisy_hits_no_ground():
         ("accelerometer", "z", "noise")
     ]
     assert verdict.ending.kind == "in flight"
+
+
+@pytest.mark.parametrize("lands", [False, True])
+def test_battery_that_takes_the_log_with_it_is_named(lands: bool):
+    log = hover()
+    assert log.battery is not None
+    assert log.rotor_commands is not None
+    log.battery.value[-50:] -= 4.0  # for the last 0.2 s
+    log.rotor_commands.value[-400 if lands else len(log.rotor_commands) :] = (
+        0.0  # it is unplugged on the ground
+    )
+    assert [each.finding.kind for each in battery_findings(prepare(log))] == ([] if lands else ["brownout"])
 
 
 def test_battery_that_breaks_down_early_is_named_and_one_that_sags_under_a_load_is_not():

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.compass import robust_fit
-from quadftc_replay.inspection.flight import Flight, rotor_level
+from quadftc_replay.inspection.flight import BRIDGED, Flight, rotor_level
 from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.whitening import Floats, Mask, runs_of
 
@@ -51,12 +51,15 @@ def battery_findings(flight: Flight) -> Iterator[Found]:
     unloaded = volts if level is None else volts + _sag(battery, level, flying)
     charge = _discharge(battery.time, unloaded, flying)
     known = np.maximum(charge, _before(battery.time, unloaded, flying))
+    # where a log ends in the air, what falls so far may take it with it
+    is_cut, last = flight.log.end - flight.intervals[-1].end < BRIDGED, int(np.flatnonzero(flying)[-1]) + 1
     until = 0
     for first in (run.start for run in runs_of(flying & (unloaded < (1.0 - SAG) * known))):
         low = flying[first:] & (unloaded[first:] < (1.0 - SAG) * known[first])
         run = slice(first, first + runs_of(low)[0].stop)  # what came before is soon forgotten
         start, end = float(battery.time[first]), float(battery.time[run.stop - 1])
-        if first < until or end - start < LASTS:
+        goes_out = is_cut and run.stop == last and last - first > 1
+        if first < until or (end - start < LASTS and not goes_out):
             continue
         until = run.stop
         lowest, usual = float(unloaded[run].min()), float(known[run.start])
