@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,9 @@ def falling(works: Floats, asked: Floats) -> FlightLog:
     return FlightLog(
         path=Path("falling"),
         format="test",
-        gyros={"": Signal(time, 0.01 * rng.standard_normal((len(time), 3)))},
+        gyros={
+            "": Signal(time, 0.3 * np.sin(3.0 * time)[:, None] + 0.01 * rng.standard_normal((len(time), 3)))
+        },
         accelerometers={"": Signal(time, force)},
         velocity=Signal(time, np.stack([*np.zeros((2, len(time))), speed], axis=1)),
         rotor_commands=Signal(time, commands),
@@ -60,3 +63,12 @@ def test_vehicle_that_does_not_fall_has_its_thrust_whatever_the_accelerometer_sa
     assert log.velocity is not None
     log.velocity.value[:] = 0.0
     assert thrust_findings(prepare(log)) == []
+
+
+@pytest.mark.parametrize(("asked", "ending"), [(0.9, "in flight"), (0.0, "switched off in the air")])
+def test_rotors_that_stand_while_they_are_asked_to_turn_were_not_stopped(asked: float, ending: str):
+    log = falling(NONE, np.full(4, asked))
+    assert log.rotor_commands is not None
+    time = log.rotor_commands.time
+    speeds = Signal(time, np.where(time[:, None] > FAILS, 0.0, np.full(4, 700.0)))
+    assert inspect(dataclasses.replace(log, rotor_speeds=speeds)).verdict.ending.kind == ending

@@ -11,7 +11,7 @@ import numpy as np
 from quadftc_model.rotations import earth_z_in_body
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.inspection.flight import Flight, rotor_level
+from quadftc_replay.inspection.flight import Flight, rotor_level, row_means
 from quadftc_replay.inspection.rotor_step import torque_of
 from quadftc_replay.inspection.verdict import Ending, EndKind
 from quadftc_replay.inspection.whitening import Floats, Mask, runs_of
@@ -106,7 +106,7 @@ def _turns_against(flight: Flight, start: float, end: float) -> bool:
 
 
 def _stopped_at(flight: Flight, impact: float | None) -> float | None:
-    """Return when the rotors stop for good, before an impact [s]."""
+    """Return when the rotors stop for good, before an impact [s]; None, too, if they are asked to turn."""
     level = rotor_level(flight.log)
     if level is None or not flight.phases_known or not len(level):
         return None
@@ -118,7 +118,21 @@ def _stopped_at(flight: Flight, impact: float | None) -> float | None:
     if not before.any() or not low[before][-1]:
         return None
     up = np.flatnonzero(~low[before])
-    return float(level.time[up[-1] + 1]) if len(up) and up[-1] + 1 < len(level) else None
+    if not len(up) or up[-1] + 1 >= len(level):
+        return None
+    stops = float(level.time[up[-1] + 1])
+    return None if _asked(flight, stops) > STOPPED else stops
+
+
+def _asked(flight: Flight, moment: float) -> float:
+    """Mean command of the rotors at a moment [s], over the usual one; 0: none is logged."""
+    commands = flight.log.rotor_commands
+    if commands is None or not len(commands):
+        return 0.0
+    mean = np.nan_to_num(row_means(commands.value)[:, 0])
+    flying = flight.in_flight(commands.time)
+    usual = float(np.median(mean[flying])) if flying.any() else np.inf
+    return float(np.interp(moment, commands.time, mean)) / max(usual, 1e-9)
 
 
 def _falls(log: FlightLog, moment: float, impact: float | None) -> bool:
