@@ -43,7 +43,8 @@ def thrust_findings(flight: Flight) -> list[Found]:
         is_known = len(whole) and time[whole[-1]] - time[whole[0]] > SHORTEST
         if is_known and end - start >= SMOOTH and _falls(velocity, float(means[run, 0].mean()), start, end):
             left = float(np.median(share[run]))
-            return [_found(float(time[whole[-1] + 1]), left, Signal(time, share[:, None]))]
+            kept = time < flight.until
+            return [_found(float(time[whole[-1] + 1]), left, Signal(time[kept], share[kept, None]))]
     return []
 
 
