@@ -13,6 +13,7 @@ DT, ONSET, END, ROWS, SLOT = 0.01, 30, 70, 90, 0  # s; the slot that the first o
 NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.03)))
 WALK, AXIS = 0.02, 0  # rad/s/sqrt(s)
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+RARER = -9.0  # log of odds
 THERE, NONE, BOTH_WELL = np.ones(3, bool), np.zeros(3, bool), np.zeros(2, bool)
 ALIKE = np.zeros((modes.MODES, sum(SLOTS)))  # log weight
 
@@ -90,6 +91,10 @@ def fly_bank(known, gyro, angle, repeats_gyro, *onsets):
     return state, bank
 
 
+def believed_of(bank, good_attitude=THERE, failing=BOTH_WELL):
+    return inference.believe(bank, good_attitude, np.True_, failing, RARER)
+
+
 def one_onset(bank, now):
     """Let all hypotheses grow older; begin an onset in each ring, or in none."""
     bank = bank._replace(since=np.array(SPACING) if now else np.full(len(SLOTS), -1.0))
@@ -119,7 +124,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
     state, bank = fly_bank(known, gyro, angle, repeats_gyro, ONSET)
     # nothing is left unexplained
     bank = bank._replace(temper=np.ones_like(bank.temper), square=0.0 * bank.square)
-    believed = inference.believe(bank, THERE, BOTH_WELL)
+    believed = believed_of(bank)
     start = motion.start_motion(LEVEL, np.zeros(3), NOISE).covariance[AXIS, :4, :4]
     mode = 3 * kind + AXIS
     knows, healthy = SecondFilter(start, kind), SecondFilter(start, None)
@@ -153,7 +158,7 @@ def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(repeats_
     known, gyro, angle = readings(modes.ATTITUDE, 0.03, 0.02, repeats_gyro, END)
     state, bank = fly_bank(known, gyro, angle, repeats_gyro, ONSET, END)
     bank = bank._replace(temper=np.ones_like(bank.temper), square=0.0 * bank.square)
-    believed = inference.believe(bank, THERE, BOTH_WELL)
+    believed = believed_of(bank)
     mode, slot = 3 * modes.RETURN + AXIS, SLOT + 1
     start = motion.start_motion(LEVEL, np.zeros(3), NOISE).covariance[AXIS, :4, :4]
     knows, healthy = SecondFilter(start, modes.ATTITUDE), SecondFilter(start, None)
@@ -216,7 +221,7 @@ def test_a_torque_may_have_changed_at_any_time_between_two_samples():
 
 def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    believed = inference.believe(inference.open_slots(bank, ALIKE, 0.0), THERE, BOTH_WELL)
+    believed = believed_of(inference.open_slots(bank, ALIKE, 0.0))
     for row, kind in enumerate(modes.KINDS):
         if row == modes.RETURN:
             continue
@@ -271,7 +276,8 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
     attitude, gyro = np.array([True, False, False]), np.array([False, True, False])
     gone = (inference.disregard(bank, attitude, gyro).age < 0.0) & (bank.age >= 0.0)
     effects, axis = modes.KIND[: modes.EFFECTS], modes.AXIS[: modes.EFFECTS]
-    expected = ((effects == modes.ATTITUDE) & (axis == 0)) | ((effects == modes.GYRO) & (axis == 1))
+    of_attitude = (effects == modes.ATTITUDE) | (effects == modes.LATE)
+    expected = (of_attitude & (axis == 0)) | ((effects == modes.GYRO) & (axis == 1))
     assert np.array_equal(gone.any(axis=-1), expected)
 
 
@@ -298,10 +304,34 @@ def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_d
 @pytest.mark.parametrize("sensor", [0, 1])
 def test_the_other_axes_of_a_failing_sensor_are_likelier_to_fail(sensor):
     bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, 1.0)
-    well, ill = (inference.believe(bank, THERE, np.arange(2) == failing) for failing in (2, sensor))
+    well, ill = (believed_of(bank, failing=np.arange(2) == failing) for failing in (2, sensor))
     more = ill.log_weight - well.log_weight
-    own = np.isin(modes.CHANGED, ([modes.GYRO], [modes.ATTITUDE])[sensor]) & modes.IS_FAULT
+    own = (modes.GYRO, modes.ATTITUDE)[sensor] == modes.NAME
     began = well.log_weight > inference.LOWEST
     assert np.array_equal(began.any(axis=-1), modes.KIND != modes.RETURN)
     assert np.allclose(more[own[:, None] & began], np.log(modes.EVENTS / modes.FAULTS))
     assert not more[~own[:, None] & began].any()
+
+
+def test_a_gyro_whose_attitude_is_not_good_is_less_likely_to_be_blamed():
+    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, 1.0)
+    alone = believed_of(bank, good_attitude=np.array([False, True, True])).log_weight
+    less = alone - believed_of(bank).log_weight
+    began = alone > inference.LOWEST
+    own = (modes.NAME == modes.GYRO) & (modes.AXIS == 0)
+    assert np.allclose(less[own[:, None] & began], RARER)
+    assert not less[~own[:, None] & began].any()
+
+
+def test_no_attitude_is_early():
+    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, 1.0)
+    J = np.where(np.arange(3)[:, None, None, None] == 0, 50.0, 0.0) * np.ones_like(bank.J)
+    d = 0.1 * J[:, :2]
+    late, early = (believed_of(bank._replace(J=J, d=sign * d)) for sign in (1.0, -1.0))
+    worth = late.log_weight - early.log_weight
+    began = late.log_weight > inference.LOWEST
+    by_delay = (modes.EFFECT // 3 == modes.LATE)[:, None]
+    z = late.b[0] ** 2 / late.covariance[0]
+    assert np.allclose(worth[by_delay & began], 0.5 * z[by_delay & began])
+    assert worth[by_delay & began].min() > 0.0
+    assert not worth[~by_delay & began].any()

@@ -111,6 +111,19 @@ def test_a_gyro_that_is_dead_or_late_while_its_axis_swings_is_named_and_no_attit
     assert alarms(said)[0] == {("gyro", axis)}
 
 
+@pytest.mark.parametrize("by", [0.1, 0.2, 0.3])
+@pytest.mark.parametrize("axis", range(3))
+def test_an_attitude_that_is_late_while_its_axis_swings_is_named_and_no_gyro(axis, by):
+    unit, fast = np.eye(3)[axis], 2.0 * np.pi * ELAPSED
+    turned, rate = 0.1 * (1.0 - np.cos(fast)), 0.2 * np.pi * np.sin(fast)
+    late = np.interp(TIME - by, TIME, turned[:, 0])[:, None]
+    flight = with_fault("attitude", late * unit)
+    torque = flight.torque + QBALL.inertia[axis] * np.gradient(rate[:, 0], DT)[:, None] * unit
+    read = flight.imu.body_rate + rate * unit
+    said = said_of(with_imu(flight, body_rate=read)._replace(torque=torque))
+    assert alarms(said)[0] == {("attitude", axis)}
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_a_gyro_that_oscillates_is_named_and_no_attitude(axis):
     sine = np.sin(2.0 * np.pi * 2.5 * ELAPSED) * np.eye(3)[axis]

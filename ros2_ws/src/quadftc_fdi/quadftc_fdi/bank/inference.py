@@ -44,14 +44,15 @@ import numpy as np
 from quadftc_fdi.bank.modes import (
     ATTITUDE,
     AXIS,
-    CHANGED,
     CHANGES,
     EFFECT,
     EFFECTS,
     GYRO,
     IS_FAULT,
     KIND,
+    LATE,
     MORE,
+    NAME,
     PRIOR,
     PUSH,
     RATE,
@@ -206,7 +207,7 @@ def _returning(part: Array, best: Array) -> Array:
 def disregard(state: Bank, attitude: Mask, gyro: Mask) -> Bank:
     """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size."""
     none = namespace(gyro).zeros_like(gyro)
-    stuck = namespace(gyro).concatenate([attitude, gyro, *[none] * (EFFECTS // 3 - 2)], axis=-1)
+    stuck = namespace(gyro).concatenate([attitude, gyro, none, none, attitude], axis=-1)
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 
 
@@ -219,7 +220,7 @@ def shape_of(state: Bank) -> Array:
 def of_attitude(state: Bank, rate: Vector, added: Array) -> Array:
     """S of the attitude (..., 3, 2, modes, slots).
 
-    ``added`` (..., 3, modes) is what a fault of 1 rad adds to its rotation vector.
+    ``added`` (..., 3, modes) is what a fault of 1 rad or 1 s adds to its rotation vector.
     """
     late = rate[..., :, None, None, None] * state.U[..., LAG, :, :, :, :]
     by_fault = added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
@@ -253,12 +254,13 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
     )
 
 
-def believe(state: Bank, witnessed: Mask, failing: Flag) -> Posterior:
+def believe(state: Bank, good_attitude: Mask, driven: Flag, failing: Flag, rarer: float) -> Posterior:
     """Return the posterior of size and slope, and the weight of mode and onset.
 
-    A wild gyro is a hypothesis where attitude and torque are ``witnessed`` (..., 3): by one of them alone it
-    cannot be told from motion, or from an attitude that jumps. Where a sensor is ``failing`` (..., 2), gyro
-    or attitude, a fault of its other axes is no rarer than what is none.
+    A wild gyro is a hypothesis where the attitude is good (..., 3) and the torque known: by one of them alone
+    it cannot be told from motion, or from an attitude that jumps. Where the attitude is not good, that of a
+    gyro is ``rarer``, by a log of odds. Where a sensor is ``failing`` (..., 2), gyro or attitude, a fault of
+    its other axes is no rarer than what is none.
     """
     xp, share = namespace(state.age), 1.0 / state.temper.max(axis=-1)  # (..., 2, axes); alike for all onsets
     of_effects = share[..., AXIS[:EFFECTS]][..., None, :, None]
@@ -274,8 +276,10 @@ def believe(state: Bank, witnessed: Mask, failing: Flag) -> Posterior:
     shares = xp.stack([1.0 / scatter, xp.ones_like(scatter)], axis=-3)  # of gyro and attitude
     joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
-    began = (state.age[..., EFFECT, :] >= 0.0) & (witnessed[..., AXIS] | (KIND != WILD))[..., None]
-    prior = USUAL + where(failing[..., 1 * (CHANGED == ATTITUDE)] & IS_FAULT, MORE, 0.0)[..., None]
+    both = (good_attitude & column(driven))[..., AXIS]
+    began = (state.age[..., EFFECT, :] >= 0.0) & (both | (KIND != WILD))[..., None]
+    prior = USUAL + where(failing[..., 1 * (NAME == ATTITUDE)] & IS_FAULT, MORE, 0.0)[..., None]
+    prior = prior + where((NAME == GYRO) & ~good_attitude[..., AXIS], rarer, 0.0)[..., None]
     returns = (KIND == RETURN)[:, None]
     prior = prior + where(returns, state.started[..., AXIS, :], 0.0)
     evidence, b, _ = _solved(joint_J, joint_d, PRIOR)
@@ -284,6 +288,8 @@ def believe(state: Bank, witnessed: Mask, failing: Flag) -> Posterior:
     doubt = _of_the_best(misfit, where(began, evidence + by_scatter + prior, LOWEST))  # (..., axes)
     of_modes = doubt[..., None, AXIS, None]
     evidence, b, covariance = _solved(joint_J / of_modes, joint_d / of_modes, PRIOR)
+    early = smaller(b[..., 0, :, :], 0.0) * (EFFECT // 3 == LATE)[:, None]  # no attitude leads
+    evidence = evidence - 0.5 * early**2 / covariance[..., 0, :, :]
     weight = where(began, evidence + by_scatter / of_modes[..., 0, :, :] + prior, LOWEST)
     innocent = _scattering(heard, number, louder) / doubt[..., None] + USUAL[3 * PUSH : 3 * PUSH + 3]
     more = weight[..., WILDS, :].max(axis=-1) - innocent.max(axis=-1)

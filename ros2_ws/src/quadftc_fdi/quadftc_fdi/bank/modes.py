@@ -2,6 +2,9 @@
 
 A mode adds b + s t to a reading, t after its onset, or b to the unknown acceleration at its onset; a return
 ends what an earlier onset has added. What is known of size b and slope s beforehand is normal about zero.
+
+An attitude that is late by b reads b (A - 1) / T of the angle too much, where A delays by T: Padé's all-pass
+(1 - s T/2) / (1 + s T/2). No attitude is early.
 """
 
 from __future__ import annotations
@@ -12,8 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# rows of the kinds; the first four have an effect of their own
-ATTITUDE, GYRO, PUSH, RETURN, JUMP, WILD = range(6)
+from quadftc_fdi.bank.noise import LONGER
+from quadftc_model.arrays import Scalar, Vector, column, exp
+from quadftc_model.rotations import wrap
+
+# rows of the kinds; the first five have an effect of their own
+ATTITUDE, GYRO, PUSH, RETURN, LATE, JUMP, LAG, WILD = range(8)
 
 
 class Kind(NamedTuple):
@@ -21,8 +28,8 @@ class Kind(NamedTuple):
 
     component: str
     is_fault: bool
-    size: float  # standard deviation of b [rad, rad/s, rad/s²]
-    slope: float  # of s, per second; a push has none
+    size: float  # standard deviation of b [rad, rad/s, rad/s², s]
+    slope: float  # of s, per second; zero for some
     rate: float  # per flight hour and axis
 
 
@@ -35,29 +42,43 @@ GYRO_SIZE = 0.3  # rad/s; chosen: what a sensor jumps, and what a fast one drift
 GYRO_WILD = 10.0  # rad/s²; chosen: of a reading that oscillates or lags
 PUSH_SIZE = 10.0  # rad/s²; chosen: collision, gust
 JUMP_SIZE = math.radians(0.1)  # rad; chosen: what an attitude jumps as a marker hides or a filter resets
+LAGS = 0.03  # s; chosen: lag of an attitude
 NONE = 1e-6  # 1/s; rounding: the slope of what has none
 KINDS = (
     Kind("attitude", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_SIZE, FAULTS),
     Kind("push", False, PUSH_SIZE, NONE, EVENTS),
     Kind("attitude", False, ATTITUDE_SIZE, ATTITUDE_SLOPE, EVENTS),  # of a fault before it, which is over
+    Kind("attitude", True, LONGER, NONE, FAULTS),
     Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
+    Kind("attitude", False, LAGS, NONE, EVENTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
-CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, GYRO)  # what each kind changes
+CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, ATTITUDE, LATE, GYRO)  # whose effect each kind has
+NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, JUMP, LAG, GYRO)  # what each kind says
 MODES = 3 * len(KINDS)
-EFFECTS = 12  # modes with an effect of their own; the other kinds share one
+EFFECTS = 15  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
-CHANGED = np.array(CHANGES)[KIND]
-EFFECT = 3 * CHANGED + AXIS
+NAME = np.array(NAMES)[KIND]
+EFFECT = 3 * np.array(CHANGES)[KIND] + AXIS
 PRIOR = np.array([[kind.size, kind.slope] for kind in KINDS])[KIND] ** 2  # (modes, 2) variances
 RATE = np.array([kind.rate for kind in KINDS])[KIND] / 3600.0  # (modes,) per second
 MORE = np.log(EVENTS / FAULTS)  # added to the log of a rate where another axis of the sensor is faulty
 IS_FAULT = np.array([kind.is_fault for kind in KINDS])[KIND]
-SAME = 1.0 * np.equal(EFFECT[:, None], EFFECT) * np.equal(IS_FAULT[:, None], IS_FAULT)  # one name: added up
+SAME = 1.0 * np.equal(NAME[:, None], NAME) * np.equal(AXIS[:, None], AXIS)  # one name: added up
 
 
 def pattern(kind: int) -> NDArray[np.float64]:
     """Return which body axes (3, effects) the modes of a kind change; zeros for all others."""
     return (1.0 * ((np.arange(3)[:, None] == AXIS) & (kind == KIND)))[:, :EFFECTS]
+
+
+def follow(lagging: Vector, angles: Vector, dt: Scalar) -> Vector:
+    """Return angles [rad] behind a lag of T/2, of which `late_by` is made."""
+    return lagging + (1.0 - exp(-2.0 * column(dt) / LONGER)) * wrap(angles - lagging)
+
+
+def late_by(lagging: Vector, angles: Vector) -> Vector:
+    """Return what an attitude reads too much [rad/s], over the time by which it is late."""
+    return 2.0 * wrap(lagging - angles) / LONGER

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadftc_fdi.bank.modes import LAGS
 from quadftc_fdi.bank.noise import SEVERAL, SMALL, Noise
 from quadftc_model.arrays import (
     Array,
@@ -48,7 +49,6 @@ CORRELATED = 1.0  # s; chosen: T, as gusts last
 WALK = math.radians(0.003)  # rad/s/√s; chosen: of the bias of a MEMS gyro
 BIAS = math.radians(2.0)  # rad/s; chosen: of a MEMS gyro at the start
 SCALES = 0.01  # 1; chosen: scale and alignment of a MEMS gyro
-LAGS = 0.01  # s; chosen: lag of an attitude
 SMEAR = 0.005  # 1/√s; chosen: error of an attitude over the rate that wanders
 JITTER = 0.001  # s; chosen: error of an attitude over the rate that is white
 LOUD = 80.0  # 1; chosen: largest square of an innovation over its variance: noise has tails

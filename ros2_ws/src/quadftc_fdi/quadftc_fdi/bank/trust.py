@@ -17,7 +17,7 @@ import numpy as np
 
 from quadftc_fdi.bank import inference, modes
 from quadftc_fdi.bank.inference import Bank, Posterior
-from quadftc_fdi.bank.motion import BETA, CORRELATED, STATES, THETA, Motion, moved_by
+from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, STATES, THETA, Motion, moved_by
 from quadftc_fdi.bank.noise import SMALL, TIGHT
 from quadftc_fdi.bank.readings import BACK
 from quadftc_model.arrays import (
@@ -84,12 +84,16 @@ def take_over(
     def of(part: Array) -> Array:
         return where(pick, part, 0.0).sum(axis=(-1, -2))
 
-    # what a faulty gyro reads too much is its bias from now on; an attitude that jumped is the new one
+    # what a faulty gyro reads too much is its bias from now on; an attitude that jumped, or lags, is usual
     effect = inference.by_effect(1.0 * pick)
-    jumped = 1.0 * (mode & (modes.KIND == modes.JUMP)).any(axis=-1)
+    usual = 1.0 * (mode & ~modes.IS_FAULT).any(axis=-1)
     states = np.arange(STATES)[:, None, None]
     of_gyro = np.equal(states, BETA) * modes.pattern(modes.GYRO)
-    moves = of_gyro + np.equal(states, THETA) * (column(column(jumped)) * added)[..., None, :, :]
+    jumps = (
+        np.equal(states, THETA) * (added * (modes.KIND[: modes.EFFECTS] == modes.ATTITUDE))[..., None, :, :]
+    )
+    lags = np.equal(states, LAG) * modes.pattern(modes.LATE)
+    moves = of_gyro + column(column(column(usual))) * (jumps + lags)
     changed = bank.U + moves[..., None, :, None] * inference.shape_of(bank)[..., None, None, :, :, :]
     picked = (changed * effect[..., None, None, None, :, :]).sum(axis=(-1, -2))
     U = xp.moveaxis(picked, -3, -1)  # (..., 3, 2, 8)

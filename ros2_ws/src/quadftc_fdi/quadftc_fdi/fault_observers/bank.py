@@ -33,6 +33,7 @@ from quadftc_model.arrays import (
     cos,
     exp,
     larger,
+    log,
     namespace,
     sin,
     smaller,
@@ -68,6 +69,7 @@ class State(NamedTuple):
     worth: Array  # log weight of the hypotheses (..., modes, slots)
     rate: Vector  # reading of the gyro at the last sample [rad/s]
     q_xyzw: Quaternion  # attitude at the last sample: as read, else turned with the gyro since
+    lagging: Vector  # angles behind a lag [rad]
     torque: Vector  # behind its lag [N m]
     translation: Translation
 
@@ -108,6 +110,7 @@ class BankObserver(FlightLaw):
             worth=bank.age[..., modes.EFFECT, :] + inference.LOWEST,
             rate=imu.body_rate,
             q_xyzw=imu.q_xyzw,
+            lagging=euler_from_quaternion(imu.q_xyzw),
             torque=inputs.torque,
             translation=translation.start_translation(
                 self.vehicle, self.motion_law, self.rotor_effects, inputs
@@ -145,7 +148,7 @@ class BankObserver(FlightLaw):
         # believe
         failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude)])
         witnesses = speaks[0], speaks[1] & ~state.gyro.faulty, column(inputs.driven)
-        posterior = inference.believe(bank, speaks[0] & column(inputs.driven), failing)
+        posterior = inference.believe(bank, speaks[0], inputs.driven, failing, 2.0 * log(1.0 - self.level))
         posterior, asked = translation.ask_position(beside, bank, posterior)
         shares, p, doubt = _probabilities(posterior)
         aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
@@ -158,7 +161,7 @@ class BankObserver(FlightLaw):
             ),
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
-        attitude, gyro = named[..., :3] & (not self.attitude_from_gyro), _of_gyro(1.0 * named) > 0.0
+        attitude, gyro = (_said_of(sensor, 1.0 * named) > 0.0 for sensor in (modes.ATTITUDE, modes.GYRO))
         # one witness of each axis stays: who names the last takes the other name back
         cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
         before = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
@@ -187,6 +190,7 @@ class BankObserver(FlightLaw):
             worth=posterior.log_weight,
             rate=read,
             q_xyzw=where(column(there), imu.q_xyzw, turned),
+            lagging=modes.follow(state.lagging, euler_from_quaternion(moved.q_xyzw), dt),
             torque=torque,
             translation=beside,
         )
@@ -196,8 +200,8 @@ class BankObserver(FlightLaw):
         flown = motion.moved_by(believed, shift)
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         seen = (
-            Seen(off, spread, p[..., :3], column(there)),
-            Seen(gyro.size, of_bias, _of_gyro(p), column(imu.rate_valid)),
+            Seen(off, spread, _said_of(modes.ATTITUDE, p), column(there)),
+            Seen(gyro.size, of_bias, _said_of(modes.GYRO, p), column(imu.rate_valid)),
         )
         return self._said(after, inputs, flown, *seen, dt)
 
@@ -205,7 +209,7 @@ class BankObserver(FlightLaw):
         self, state: State, imu: ImuSample, moved: Motion, levels: Noise, good: tuple[Mask, Mask], dt: float
     ) -> tuple[Bank, Motion, Gains, Vector, Array]:
         """Take gyro and attitude where they are ``good``; return the bank, the motion, and of the attitude:
-        gains, how far it is off [rad], and what a fault of 1 rad adds to its rotation vector.
+        gains, how far it is off [rad], and what a fault of 1 rad or 1 s adds to its rotation vector.
         """
         good_gyro, good_attitude = good
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
@@ -215,7 +219,9 @@ class BankObserver(FlightLaw):
         bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
         angles = euler_from_quaternion(moved.q_xyzw)
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
-        added = _turning(angles) @ modes.pattern(modes.ATTITUDE)
+        late = modes.late_by(modes.follow(state.lagging, angles, dt), angles)
+        changed = modes.pattern(modes.ATTITUDE) + column(late) * modes.pattern(modes.LATE)
+        added = _turning(angles) @ changed
         expected = inference.of_attitude(bank, moved.rate, added)
         # an angle that is not used must not turn the others
         kept = quaternion_from_euler(angles + where(good_attitude, off, 0.0))
@@ -289,19 +295,17 @@ class BankObserver(FlightLaw):
 
         Twice the certainty is needed without a torque, and of an attitude without a gyro: only one witness is
         left. It is needed of an attitude of which the position is ``asked`` (..., 3), as that speaks late; of
-        one that returns; and of one that jumps, which must have stayed. Thrice is needed of a push: these
-        hide what began with them. So it is of a gyro without an attitude, as its name takes that of the
-        attitude back. A wild gyro must be so for as long as it takes to hear vibration.
+        one that returns; and of one that jumps, which must have stayed. Thrice is needed of a push, and of a
+        lag: these hide what began with them. A wild gyro must be so for as long as it takes to hear
+        vibration.
         """
-        few, kind = 1.0 - self.level, modes.KIND
-        alone = (modes.CHANGED == modes.GYRO) & ~good_attitude[..., modes.AXIS]
-        last = ((kind == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven
+        few, kind, name = 1.0 - self.level, modes.KIND, modes.NAME
+        last = ((name == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
         twice = last | stays | (kind == modes.RETURN) | (kind == modes.WILD)
         least = where(twice, few * few, where(modes.IS_FAULT, few, few**3))
-        least = where(alone, few**3, least)
         # a jump of an attitude that repeats the gyro is its estimator's
-        takes = ((kind != modes.ATTITUDE) & (kind != modes.RETURN)) | (not self.attitude_from_gyro)
+        takes = ((name != modes.ATTITUDE) & (kind != modes.RETURN)) | (not self.attitude_from_gyro)
         sure = doubt < least * takes
         heard = (kind != modes.WILD) | (aged > noise.LONG * p)
         return sure & (p == (p * sure).max(axis=-1, keepdims=True)) & heard
@@ -377,9 +381,9 @@ def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
     return shares * (1.0 - vibration)[..., None], p * (1.0 - vibration), left
 
 
-def _of_gyro(of_modes: Array) -> Vector:
-    """Add up what is said of a gyro, and of a wild one, by axis."""
-    return of_modes[..., modes.EFFECT // 3 == modes.GYRO].reshape(*of_modes.shape[:-1], 2, 3).sum(axis=-2)
+def _said_of(sensor: int, of_modes: Array) -> Vector:
+    """Add up what is said of faults of attitude or gyro, by axis."""
+    return of_modes[..., sensor == modes.NAME].reshape(*of_modes.shape[:-1], 2, 3).sum(axis=-2)
 
 
 def _off(before: Vector, imu: ImuSample, believed: Motion, good: Mask) -> Vector:
