@@ -21,7 +21,6 @@ from quadftc_replay.inspection.verdict import Finding, Verdict, doubted, show, u
 from quadftc_report.description import Figure, Mark, Panel, Shade, Trace
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.page import render_template
-from quadftc_report.wording import listing
 
 PAGE = "report.html"
 HIGH = 1.6  # height of the panel that shows a finding, relative to the usual
@@ -87,7 +86,7 @@ def describe(finding: Finding) -> str:
     if size and finding.sigma is not None:
         size += f" ± {show(finding.sigma, finding.unit)} (1 σ)"
     others = [each.replace("/", " ") for each in finding.ambiguous_with]
-    doubt = f"; or {listing(others)}" if others else ""
+    doubt = f"; or {' or '.join(others)}" if others else ""
     sure = f"; probability {100.0 * finding.probability:.3g} %"
     return f"from {finding.onset_s:.2f} s{until}{size}{sure}{doubt}"
 

@@ -101,10 +101,11 @@ def test_page_of_a_log_that_lacks_much_is_escaped_and_says_what_is_missing():
 
 def test_component_that_may_be_at_fault_instead_is_not_called_sound():
     inspection = flight()
-    finding = make_finding("response", "roll", "reversed", 2.0, ambiguous_with=("gyro/x",))
+    finding = make_finding("response", "roll", "reversed", 2.0, ambiguous_with=("gyro/x", "rotor/1"))
     verdict = inspection.verdict.model_copy(update={"findings": (finding,)})
     text = render_verdict(inspection._replace(verdict=verdict, found=(Found(finding),)))
     assert re.search(r">gyro</th>.*\n.*\?</span>may be at fault instead of response roll</td>", text)
+    assert "; or gyro x or rotor 1" in text
     assert "fault instead" not in render_verdict(flight())
 
 
