@@ -3,8 +3,8 @@
 A mode adds b + s t to a reading, t after its onset, or b to the unknown acceleration at its onset; a return
 ends what an earlier onset has added. What is known of size b and slope s beforehand is normal about zero.
 
-An attitude that is late by b reads b (A - 1) / T of the angle too much, where A delays by T: Padé's all-pass
-(1 - s T/2) / (1 + s T/2). No attitude is early.
+An attitude that is late by b reads b (A - 1) / T of the angle too much, where A delays by T, `noise.LONGER`:
+Padé's all-pass (1 - s T/2) / (1 + s T/2). No attitude is early.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Kind(NamedTuple):
     component: str
     is_fault: bool
     size: float  # standard deviation of b [rad, rad/s, rad/s², s]
-    slope: float  # of s, per second; zero for some
+    slope: float  # of s, per second; `NONE` where there is none
     rate: float  # per flight hour and axis
 
 
@@ -75,10 +75,10 @@ def pattern(kind: int) -> NDArray[np.float64]:
 
 
 def follow(lagging: Vector, angles: Vector, dt: Scalar) -> Vector:
-    """Return angles [rad] behind a lag of T/2, of which `late_by` is made."""
+    """Let ``lagging`` angles follow others [rad], with a time constant of T/2."""
     return lagging + (1.0 - exp(-2.0 * column(dt) / LONGER)) * wrap(angles - lagging)
 
 
 def late_by(lagging: Vector, angles: Vector) -> Vector:
-    """Return what an attitude reads too much [rad/s], over the time by which it is late."""
+    """Return what an attitude reads too much [rad] for each second by which it is late."""
     return 2.0 * wrap(lagging - angles) / LONGER

@@ -69,7 +69,7 @@ class State(NamedTuple):
     worth: Array  # log weight of the hypotheses (..., modes, slots)
     rate: Vector  # reading of the gyro at the last sample [rad/s]
     q_xyzw: Quaternion  # attitude at the last sample: as read, else turned with the gyro since
-    lagging: Vector  # angles behind a lag [rad]
+    lagging: Vector  # angles that follow the attitude, by which it may be late [rad]
     torque: Vector  # behind its lag [N m]
     translation: Translation
 
@@ -147,7 +147,7 @@ class BankObserver(FlightLaw):
         bank = inference.disregard(bank, readings.is_stuck(attitude_read), readings.is_stuck(gyro_read))
         # believe
         failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude)])
-        witnesses = speaks[0], speaks[1] & ~state.gyro.faulty, column(inputs.driven)
+        witnesses = speaks[1] & ~state.gyro.faulty, column(inputs.driven)
         posterior = inference.believe(bank, speaks[0], inputs.driven, failing, 2.0 * log(1.0 - self.level))
         posterior, asked = translation.ask_position(beside, bank, posterior)
         shares, p, doubt = _probabilities(posterior)
@@ -287,7 +287,6 @@ class BankObserver(FlightLaw):
         doubt: Array,
         aged: Array,
         asked: Mask,
-        good_attitude: Mask,
         good_gyro: Mask,
         driven: Flag,
     ) -> Array:
