@@ -258,9 +258,9 @@ def believe(state: Bank, good_attitude: Mask, driven: Flag, failing: Flag, rarer
     """Return the posterior of size and slope, and the weight of mode and onset.
 
     A wild gyro is a hypothesis where the attitude is good (..., 3) and the torque known: by one of them alone
-    it cannot be told from motion, or from an attitude that jumps. Where the attitude is not good, a fault
-    of the gyro is ``rarer``, by a log of odds. Where a sensor is ``failing`` (..., 2), gyro or attitude, a fault of
-    its other axes is no rarer than what is none.
+    it cannot be told from motion, or from an attitude that jumps. Where the attitude is not good, a fault of
+    the gyro is ``rarer``, by a log of odds. Where a sensor is ``failing`` (..., 2), gyro or attitude, a fault
+    of its other axes is no rarer than what is none.
     """
     xp, share = namespace(state.age), 1.0 / state.temper.max(axis=-1)  # (..., 2, axes); alike for all onsets
     of_effects = share[..., AXIS[:EFFECTS]][..., None, :, None]
