@@ -10,7 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from command_bench import call_quadftc
+from command_bench import call_quadftc, complaints
 
 MAPPING = """
 [time]
@@ -89,7 +89,7 @@ def test_fault_that_begins_too_late_is_quoted_as_it_was_given(archive, tmp_path)
     fault = "bias channel=gyro axis=x value=3deg/s start=60min"
     options = ("--mapping", tmp_path / "mapping.toml", "--log", "1", "--fault", fault)
     done = call_quadftc("diagnose", archive, *options)
-    assert done.stderr.startswith(f"error: fault '{fault}': start = 3600 s: must be before the end")
+    assert complaints(done)[0].startswith(f"error: fault '{fault}': start = 3600 s: must be before the end")
 
 
 def test_file_that_is_no_log_is_named(tmp_path):

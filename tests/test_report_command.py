@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from command_bench import Done, call_quadftc, run_installed
+from command_bench import Done, call_quadftc, complaints, run_installed
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_directory_of_runs_gives_a_page(runs: Path, tmp_path: Path):
     out = tmp_path / "new" / "report.html"
     done = run_installed("report", runs, "--out", out)
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    assert complaints(done) == []
     assert f"report on 2 runs: {out}" in done.stdout
     page = out.read_text(encoding="utf-8")
     assert 'data-run="busy-proposed"' in page
@@ -52,7 +52,7 @@ def test_figure_is_drawn_alone_and_an_unknown_one_is_refused(runs: Path, tmp_pat
     assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["busy-torque.pdf", "busy-torque.png"]
     done = report(runs, "--figure", "6", "--out", tmp_path / "some.html")
     assert done.returncode == 2
-    assert done.stderr.startswith("error: no figure '6' of these runs; there are: busy-fault-roll, ")
+    assert complaints(done)[0].startswith("error: no figure '6' of these runs; there are: busy-fault-roll, ")
 
 
 def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: Path):
@@ -61,7 +61,7 @@ def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: P
     bag.write_bytes(bag.read_bytes()[: bag.stat().st_size * 7 // 10])
     done = report(run, "--out", tmp_path / "report.html")
     assert done.returncode == 0, done.stderr
-    (warning,) = done.stderr.splitlines()
+    (warning,) = complaints(done)
     assert warning.startswith(f"warning: {run}: cut short at ")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert f"<li>{warning.removeprefix('warning: ')}</li>" in page
@@ -70,7 +70,7 @@ def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: P
 def test_replay_gives_a_page_in_a_directory_and_figures_for_print(replayed: Path, tmp_path: Path):
     done, out = report(replayed, "--figures", "--out", tmp_path), tmp_path / "report.html"
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    assert complaints(done) == []
     assert f"report on 1 replay: {out}" in done.stdout
     assert sorted(each.name for each in tmp_path.iterdir()) == ["report.html", "report_figures"]
     page = out.read_text(encoding="utf-8")
@@ -91,7 +91,7 @@ def test_runs_and_replays_go_into_one_report(runs: Path, replayed: Path, tmp_pat
 def test_replay_is_refused_by_the_check_in_one_line(replayed: Path):
     done = call_quadftc("check", replayed)
     assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
+    assert len(complaints(done)) == 1
     assert f"{replayed}: a replay of a recording; expected a flight" in done.stderr
 
 
@@ -113,7 +113,7 @@ def test_wrong_bag_among_good_ones_is_one_line_and_leaves_the_old_report(
     before = sorted(tmp_path.iterdir())
     done = report(runs / "busy-proposed", tmp_path / name, "--out", out)
     assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
+    (line,) = complaints(done)
     assert line.startswith("error: ")
     assert words in line
     assert out.read_text(encoding="utf-8") == "the old report"

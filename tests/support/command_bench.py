@@ -1,6 +1,7 @@
 """The ``quadftc`` command, as installed or in the process of the tests, which saves the start of another."""
 
 import contextlib
+import re
 import subprocess
 import tempfile
 from pathlib import Path
@@ -21,6 +22,11 @@ def run_installed(*arguments: str | Path) -> Done:
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert "Traceback" not in done.stderr
     return done
+
+
+def complaints(done: Done) -> list[str]:
+    """Lines on stderr, without the shares of progress that a slow machine prints among them."""
+    return [line for line in done.stderr.splitlines() if not re.fullmatch(r".+ \d+%", line)]
 
 
 def call_quadftc(*arguments: str | Path) -> Done:
