@@ -26,7 +26,10 @@ EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 X86 = ("-march=native", "-mno-fma", "-mno-fma4", "-mno-avx512f")
 NATIVE = X86 if platform.machine() in ("x86_64", "i686") else ("-mcpu=native",)
 # all that makes loops of arrays fast; -O3 takes three times as long for the statements of a large law
-LOOPS = ("-O1", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-fpeel-loops", "-funswitch-loops")
+VECTORS = ("-ftree-vectorize", "-fvect-cost-model=dynamic", "-fpeel-loops", "-funswitch-loops")
+# with expensive optimizations only does gcc clear the upper halves of vectors before calls; else, on an Intel
+# processor, logarithms of the observer `bank` take more time than all the rest
+LOOPS = ("-O1", "-fexpensive-optimizations", *VECTORS)
 LIBRARY = ("-std=c99", *EXACT, "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
 NO_TRACER = "JAX is not installed, which traces laws: pip install 'quadftc[batch]'"
 FORMAT = 2  # of records; another one for another way to call
