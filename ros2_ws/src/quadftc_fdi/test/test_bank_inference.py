@@ -14,7 +14,7 @@ NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.03)))
 WALK, AXIS = 0.02, 0  # rad/s/sqrt(s)
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 RARER = -9.0  # log of odds
-THERE, NONE, BOTH_WELL = np.ones(3, bool), np.zeros(3, bool), np.zeros(2, bool)
+THERE, NONE = np.ones(3, bool), np.zeros(3, bool)
 ALIKE = np.zeros((modes.MODES, sum(SLOTS)))  # log weight
 
 
@@ -91,8 +91,8 @@ def fly_bank(known, gyro, angle, repeats_gyro, *onsets):
     return state, bank
 
 
-def believed_of(bank, good_attitude=THERE, failing=BOTH_WELL):
-    return inference.believe(bank, good_attitude, np.True_, failing, RARER)
+def believed_of(bank, good_attitude=THERE, failing=NONE):
+    return inference.believe(bank, good_attitude, good_attitude, np.True_, failing, RARER)
 
 
 def one_onset(bank, now):
@@ -301,12 +301,12 @@ def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_d
         np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))
 
 
-@pytest.mark.parametrize("sensor", [0, 1])
+@pytest.mark.parametrize("sensor", range(3))
 def test_the_other_axes_of_a_failing_sensor_are_likelier_to_fail(sensor):
     bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, 1.0)
-    well, ill = (believed_of(bank, failing=np.arange(2) == failing) for failing in (2, sensor))
+    well, ill = (believed_of(bank, failing=np.arange(3) == failing) for failing in (3, sensor))
     more = ill.log_weight - well.log_weight
-    own = (modes.GYRO, modes.ATTITUDE)[sensor] == modes.NAME
+    own = (modes.GYRO, modes.ATTITUDE, modes.FELT)[sensor] == modes.NAME
     began = well.log_weight > inference.LOWEST
     assert np.array_equal(began.any(axis=-1), modes.KIND != modes.RETURN)
     assert np.allclose(more[own[:, None] & began], np.log(modes.EVENTS / modes.FAULTS))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadftc_fdi.bank import inference, modes, translation
-from quadftc_fdi.bank.noise import TIGHT
+from quadftc_fdi.bank.motion import LOUD
 from quadftc_fdi.isolation import free_flight
 from quadftc_fdi.isolation.accelerometer_monitor import start_accelerometer
 from quadftc_fdi.isolation.reading_test import start_test
@@ -16,15 +16,19 @@ DUE = SLOPE * (AGE - 1.0)  # rad; one second late, as the filter of b is here
 SHAPE = (modes.MODES, len(inference.RING))
 
 
-def said_of(tilt, learned=10.0):
-    """Return what a tilt [rad] by the position adds to the log weights, and where it is asked."""
+def said_of(tilt, learned=10.0, believed=0.0):
+    """Return what a tilt [rad] by the position adds to the log weights, and where it is asked.
+
+    ``believed`` is the tilt that it shows of a fault that is believed [rad].
+    """
     imu, law = level_sample(), free_flight.motion_law(0.0, 0.002, False, 0.1)
     here = PositionSample(np.zeros(3), np.zeros(3), np.bool_(True))
     flight = free_flight.start_flight(law, PositionEstimatorInputs(imu, here), np.float64(0.0))
     covariance = np.array([0.0, 0.0, 0.0, 0.0, 0.0, free_flight.WALK**2])
     bias = np.array([0.0, -STANDARD_GRAVITY * tilt, 0.0])
     motion = flight.motion._replace(covariance=covariance, bias=bias, started=np.bool_(True))
-    flight = flight._replace(motion=motion, learned=np.float64(learned))
+    due = np.array([believed, 0.0, 0.0])
+    flight = flight._replace(motion=motion, learned=np.float64(learned), due=due)
     force = imu.specific_force
     state = translation.Translation(
         start_test(force, 0.1), start_accelerometer(force), flight, None, np.zeros(3)
@@ -44,19 +48,26 @@ def asked(state):
 
 def test_a_drift_of_roll_that_the_position_shows_is_likelier_and_nothing_else_is():
     said, where = said_of(DUE)
-    assert said[modes.ATTITUDE] == pytest.approx(0.5 * TIGHT, rel=1e-3)
+    assert said[modes.ATTITUDE] == pytest.approx(0.5 * LOUD, rel=1e-3)
     assert not said[modes.ATTITUDE + 1 :].any()
     assert where.tolist() == [True, True, False]
 
 
 def test_a_drift_of_roll_that_the_position_does_not_show_is_less_likely():
     said, _ = said_of(0.0)
-    assert said[modes.ATTITUDE] == pytest.approx(-0.5 * TIGHT, rel=1e-3)
+    assert said[modes.ATTITUDE] == pytest.approx(-0.5 * LOUD, rel=1e-3)
 
 
 def test_a_tilt_that_no_hypothesis_explains_tells_nothing():
     said, _ = said_of(-DUE)
     assert not said.any()
+
+
+def test_a_tilt_by_a_fault_that_is_believed_speaks_for_no_other():
+    said, _ = said_of(DUE, believed=DUE)
+    assert np.all(said[modes.ATTITUDE] <= 0.0)
+    said, _ = said_of(1.1 * DUE, believed=DUE)
+    assert np.all(said[modes.ATTITUDE] < 1.0), "of a large one nobody knows exactly what is shown"
 
 
 def test_without_a_position_or_before_it_is_known_nobody_is_asked():

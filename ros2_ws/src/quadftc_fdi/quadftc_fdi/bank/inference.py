@@ -42,7 +42,6 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.bank.modes import (
-    ATTITUDE,
     AXIS,
     CHANGES,
     EFFECT,
@@ -57,10 +56,11 @@ from quadftc_fdi.bank.modes import (
     PUSH,
     RATE,
     RETURN,
+    SENSOR,
     WILD,
     pattern,
 )
-from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, OMEGA, SCALE, STATES, THETA, D, Gains
+from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, LEAN, OMEGA, SCALE, STATES, THETA, D, Gains
 from quadftc_fdi.bank.noise import MEMORY, SMALL
 from quadftc_fdi.bank.noise import PRIOR as LEARNING
 from quadftc_model.arrays import (
@@ -100,7 +100,7 @@ USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 class Bank(NamedTuple):
     """Hypotheses (..., modes, slots); U has states, axes and two columns, size and slope, before these."""
 
-    U: Array  # (..., 8, 3, 2, modes, slots)
+    U: Array  # (..., 9, 3, 2, modes, slots)
     J: Array  # size by size, size by slope, slope by slope, by channel and axis (..., 2, 3, 3, modes, slots)
     d: Array  # (..., 2, 2, 3, modes, slots)
     square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
@@ -207,7 +207,7 @@ def _returning(part: Array, best: Array) -> Array:
 def disregard(state: Bank, attitude: Mask, gyro: Mask) -> Bank:
     """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size."""
     none = namespace(gyro).zeros_like(gyro)
-    stuck = namespace(gyro).concatenate([attitude, gyro, none, none, attitude], axis=-1)  # as kinds are
+    stuck = namespace(gyro).concatenate([attitude, gyro, none, none, attitude, none], axis=-1)  # as kinds are
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 
 
@@ -227,6 +227,12 @@ def of_attitude(state: Bank, rate: Vector, added: Array) -> Array:
     return state.U[..., THETA, :, :, :, :] - late + by_fault
 
 
+def of_tilt(state: Bank, added: Array) -> Array:
+    """S of the tilt by gravity (..., 3, 2, modes, slots); ``added`` (..., 3, modes) is what 1 rad adds."""
+    by_motion = state.U[..., THETA, :, :, :, :] + state.U[..., LEAN, :, :, :, :]
+    return by_motion + added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
+
+
 def of_gyro(state: Bank, rate: Vector, added: Array) -> Array:
     """S of the gyro (..., 3, 2, modes, slots); ``added`` (..., 3, modes) is what a fault of 1 rad/s adds."""
     by_scale = sum(
@@ -243,7 +249,7 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
     w, e = weight[..., None, None], (weight * seen.innovation)[..., None, None, None]
     one, two = S[..., 0, :, :], S[..., 1, :, :]  # (..., 3, modes, slots)
     J = xp.stack([w * one * one, w * one * two, w * two * two], axis=-4)
-    gain = seen.gain.swapaxes(-1, -2)[..., None, None, None]  # (..., 8, 3, 1, 1, 1)
+    gain = seen.gain.swapaxes(-1, -2)[..., None, None, None]  # (..., 9, 3, 1, 1, 1)
     own = np.eye(2)[channel][:, None, None, None]
     return state._replace(
         U=state.U - gain * S[..., None, :, :, :, :],
@@ -254,13 +260,16 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
     )
 
 
-def believe(state: Bank, good_attitude: Mask, driven: Flag, failing: Flag, rarer: float) -> Posterior:
+def believe(
+    state: Bank, good_attitude: Mask, held: Mask, driven: Flag, failing: Flag, rarer: float
+) -> Posterior:
     """Return the posterior of size and slope, and the weight of mode and onset.
 
     A wild gyro is a hypothesis where the attitude is good (..., 3) and the torque known: by one of them alone
-    it cannot be told from motion, or from an attitude that jumps. Where the attitude is not good, a fault of
-    the gyro is ``rarer``, by a log of odds. Where a sensor is ``failing`` (..., 2), gyro or attitude, a fault
-    of its other axes is no rarer than what is none.
+    it cannot be told from motion, or from an attitude that jumps. Where neither a good attitude nor gravity
+    has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of odds. Where a sensor is
+    ``failing`` (..., 3), as `modes.SENSOR` counts them, a fault of its other axes is no rarer than what is
+    none.
     """
     xp, share = namespace(state.age), 1.0 / state.temper.max(axis=-1)  # (..., 2, axes); alike for all onsets
     of_effects = share[..., AXIS[:EFFECTS]][..., None, :, None]
@@ -278,8 +287,8 @@ def believe(state: Bank, good_attitude: Mask, driven: Flag, failing: Flag, rarer
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
     both = (good_attitude & column(driven))[..., AXIS]
     began = (state.age[..., EFFECT, :] >= 0.0) & (both | (KIND != WILD))[..., None]
-    prior = USUAL + where(failing[..., 1 * (NAME == ATTITUDE)] & IS_FAULT, MORE, 0.0)[..., None]
-    prior = prior + where((NAME == GYRO) & ~good_attitude[..., AXIS], rarer, 0.0)[..., None]
+    prior = USUAL + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
+    prior = prior + where((NAME == GYRO) & ~held[..., AXIS], rarer, 0.0)[..., None]
     returns = (KIND == RETURN)[:, None]
     prior = prior + where(returns, state.started[..., AXIS, :], 0.0)
     evidence, b, _ = _solved(joint_J, joint_d, PRIOR)
@@ -322,6 +331,12 @@ def by_effect(of_modes: Array) -> Array:
     for kind in range(EFFECTS // 3, len(CHANGES)):
         kinds[CHANGES[kind]] = kinds[CHANGES[kind]] + kinds[kind]
     return namespace(of_modes).concatenate(kinds[: EFFECTS // 3], axis=-2)
+
+
+def expected_change(state: Bank, posterior: Posterior, shares: Array) -> Array:
+    """Return the mean change of the motion's states (..., 3, 9) over hypotheses of some probabilities."""
+    b = by_effect(posterior.b * shares[..., None, :, :])
+    return (state.U * b[..., None, None, :, :, :]).sum(axis=(-3, -2)).sum(axis=-1).swapaxes(-1, -2)
 
 
 def _solved(J: Array, d: Array, prior: Array) -> tuple[Array, Array, Array]:

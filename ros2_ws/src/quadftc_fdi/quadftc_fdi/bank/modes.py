@@ -3,6 +3,9 @@
 A mode adds b + s t to a reading, t after its onset, or b to the unknown acceleration at its onset; a return
 ends what an earlier onset has added. What is known of size b and slope s beforehand is normal about zero.
 
+A gyro that jumps and stays is a row beside one that drifts: with a slope that may be anything, a constant
+offset is unlikely, and a slow discrepancy would be the attitude's.
+
 An attitude that is late by b reads b (A - 1) / T of the angle too much, where A delays by T, `noise.LONGER`:
 Padé's all-pass (1 - s T/2) / (1 + s T/2). No attitude is early.
 """
@@ -19,8 +22,8 @@ from quadftc_fdi.bank.noise import LONGER
 from quadftc_model.arrays import Scalar, Vector, column, exp
 from quadftc_model.rotations import wrap
 
-# rows of the kinds; the first five have an effect of their own
-ATTITUDE, GYRO, PUSH, RETURN, LATE, JUMP, LAG, WILD = range(8)
+# rows of the kinds; the first six have an effect of their own
+ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, JUMP, LAG, STEADY, WILD = range(10)
 
 
 class Kind(NamedTuple):
@@ -50,14 +53,16 @@ KINDS = (
     Kind("push", False, PUSH_SIZE, NONE, EVENTS),
     Kind("attitude", False, ATTITUDE_SIZE, ATTITUDE_SLOPE, EVENTS),  # of a fault before it, which is over
     Kind("attitude", True, LONGER, NONE, FAULTS),
+    Kind("accelerometer", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),  # as the tilt that it shows
     Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
     Kind("attitude", False, LAGS, NONE, EVENTS),
+    Kind("gyro", True, GYRO_SIZE, NONE, FAULTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
-CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, ATTITUDE, LATE, GYRO)  # whose effect each kind has
-NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, JUMP, LAG, GYRO)  # what each kind says
+CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, ATTITUDE, LATE, GYRO, GYRO)  # whose effect each kind has
+NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, FELT, JUMP, LAG, GYRO, GYRO)  # what each kind says
 MODES = 3 * len(KINDS)
-EFFECTS = 15  # modes with an effect of their own; the other kinds share one
+EFFECTS = 18  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
 NAME = np.array(NAMES)[KIND]
@@ -65,6 +70,7 @@ EFFECT = 3 * np.array(CHANGES)[KIND] + AXIS
 PRIOR = np.array([[kind.size, kind.slope] for kind in KINDS])[KIND] ** 2  # (modes, 2) variances
 RATE = np.array([kind.rate for kind in KINDS])[KIND] / 3600.0  # (modes,) per second
 MORE = np.log(EVENTS / FAULTS)  # added to the log of a rate where another axis of the sensor is faulty
+SENSOR = np.select([NAME == ATTITUDE, NAME == FELT], [1, 2], 0)  # gyro, attitude, accelerometer
 IS_FAULT = np.array([kind.is_fault for kind in KINDS])[KIND]
 SAME = 1.0 * np.equal(NAME[:, None], NAME) * np.equal(AXIS[:, None], AXIS)  # one name: added up
 

@@ -1,6 +1,6 @@
 """The motion of a healthy vehicle: one Kalman filter, whose innovations all hypotheses share.
 
-Each body axis has eight states:
+Each body axis has nine states:
 
 | state | moves as | of |
 |---|---|---|
@@ -10,8 +10,10 @@ Each body axis has eight states:
 | acceleration d | d' = -d / T + w | what no model knows |
 | k_x, k_y, k_z | k' = 0 | scale and alignment of the gyro |
 | lag tau | tau' = 0 | the measured attitude |
+| lean lambda | lambda' = w | the accelerometer: its offset, as a tilt |
 
-and two measurements, with white noise n: gyro = omega + beta + k omega + n, attitude = theta - tau omega + n.
+and three measurements, with white noise n: gyro = omega + beta + k omega + n, attitude = theta - tau omega +
+n, and roll and pitch on a test stand, where the accelerometer feels gravity: tilt = theta + lambda + n.
 An attitude that an estimator makes of the same gyro repeats the gyro's errors: there theta' = gyro - beta +
 w, and w holds what the estimator corrects. Axes are coupled in the mean alone, not in the covariance.
 """
@@ -25,6 +27,7 @@ import numpy as np
 
 from quadftc_fdi.bank.modes import LAGS
 from quadftc_fdi.bank.noise import SEVERAL, SMALL, Noise
+from quadftc_fdi.isolation.accelerometer_monitor import LEARNED, LEAST, OFFSET
 from quadftc_model.arrays import (
     Array,
     Flag,
@@ -34,17 +37,19 @@ from quadftc_model.arrays import (
     Vector,
     clip,
     column,
+    cross,
     exp,
     larger,
+    largest,
     namespace,
     norm,
     stacked,
     where,
 )
-from quadftc_model.rotations import rotation_between, turn
-from quadftc_model.samples import MAX_BODY_RATE
+from quadftc_model.rotations import earth_z_in_body, rotation_between, turn
+from quadftc_model.samples import MAX_BODY_RATE, STANDARD_GRAVITY
 
-THETA, BETA, OMEGA, D, SCALE, LAG, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8
+THETA, BETA, OMEGA, D, SCALE, LAG, LEAN, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8, 9
 CORRELATED = 1.0  # s; chosen: T, as gusts last
 WALK = math.radians(0.003)  # rad/s/√s; chosen: of the bias of a MEMS gyro
 BIAS = math.radians(2.0)  # rad/s; chosen: of a MEMS gyro at the start
@@ -53,6 +58,8 @@ SMEAR = 0.005  # 1/√s; chosen: error of an attitude over the rate that wanders
 JITTER = 0.001  # s; chosen: error of an attitude over the rate that is white
 LOUD = 80.0  # 1; chosen: largest square of an innovation over its variance: noise has tails
 LOUDER = math.log(4.0)  # 1; chosen: fourfold with each after several loud ones in a row
+LEANS = OFFSET / STANDARD_GRAVITY  # rad; of a healthy accelerometer
+LEAN_WALK = LEAST / STANDARD_GRAVITY / math.sqrt(LEARNED)  # rad/√s; of that
 UNDRIVEN = MAX_BODY_RATE / 1.0  # rad/s²; where no torque is known: any body rate within 1 s
 
 
@@ -65,8 +72,9 @@ class Motion(NamedTuple):
     unknown: Vector  # acceleration d [rad/s²]
     scale: Array  # (..., 3, 3) of the gyro, by reading and rate
     lag: Vector  # [s]
-    loud: Array  # readings in a row of gyro, attitude that were louder than that (..., 2, 3)
-    covariance: Array  # (..., 3, 8, 8)
+    lean: Vector  # [rad]
+    loud: Array  # readings in a row of gyro, attitude, tilt that were louder than that (..., 3, 3)
+    covariance: Array  # (..., 3, 9, 9)
 
 
 class Gains(NamedTuple):
@@ -74,7 +82,7 @@ class Gains(NamedTuple):
 
     innovation: Vector
     variance: Vector  # of the innovation
-    gain: Array  # (..., 3, 8); zeros where it is not used
+    gain: Array  # (..., 3, 9); zeros where it is not used
     used: Mask
 
 
@@ -82,15 +90,15 @@ def start_motion(q_xyzw: Quaternion, gyro: Vector, noise: Noise) -> Motion:
     """Start at a sample, as attitude and gyro say."""
     xp = namespace(gyro)
     zeros = xp.zeros_like(gyro)
-    sensor = [zeros + SCALES**2] * 3 + [zeros + LAGS**2]
+    sensor = [zeros + SCALES**2] * 3 + [zeros + LAGS**2, zeros + LEANS**2]
     start = stacked([noise.attitude, zeros + BIAS**2, noise.gyro + BIAS**2, noise.unknown, *sensor])
     P = start[..., None] * xp.eye(STATES)
-    silent = xp.stack([zeros, zeros], axis=-2)
-    return Motion(q_xyzw, zeros, gyro, zeros, xp.zeros((*gyro.shape, 3)), zeros, silent, P)
+    silent = xp.stack([zeros] * 3, axis=-2)
+    return Motion(q_xyzw, zeros, gyro, zeros, xp.zeros((*gyro.shape, 3)), zeros, zeros, silent, P)
 
 
 def unsettled(state: Motion, which: int, variance: Vector) -> Motion:
-    """Let one of the eight states have a variance (..., 3), at least."""
+    """Let one of the nine states have a variance (..., 3), at least."""
     P = state.covariance
     more = larger(variance - P[..., which, which], 0.0)
     return state._replace(covariance=P + more[..., None, None] * np.diag(np.eye(STATES)[which]))
@@ -118,7 +126,8 @@ def predict(
     drive = noise.unknown * (1.0 - keep**2)
     loose = where(column(driven), (0.5 * between) ** 2 / 3.0, UNDRIVEN**2) * step**2  # uniform
     wander = (noise.wander + (SMEAR * norm(state.rate)) ** 2) * step
-    Q = stacked([wander, walk**2 * step, drive * step**2 / 3.0 + loose, drive, *[zeros] * 4])
+    driven_by = [wander, walk**2 * step, drive * step**2 / 3.0 + loose, drive]
+    Q = stacked([*driven_by, *[zeros] * 4, LEAN_WALK**2 * step + zeros])
     P = _moved(_moved(state.covariance, repeats_gyro, dt).swapaxes(-1, -2), repeats_gyro, dt)
     return state._replace(
         q_xyzw=turn(state.q_xyzw, turning * step),
@@ -129,7 +138,7 @@ def predict(
 
 
 def _moved(P: Array, repeats_gyro: bool, dt: Scalar) -> Array:
-    """Rows of F P (..., 3, 8, 8) over ``dt`` [s]."""
+    """Rows of F P (..., 3, 9, 9) over ``dt`` [s]."""
     step = column(column(dt))
     rows = [P[..., k, :] for k in range(STATES)]
     by = -rows[BETA] if repeats_gyro else rows[OMEGA] + 0.5 * step * rows[D]
@@ -161,6 +170,15 @@ def take_attitude(state: Motion, q_xyzw: Quaternion, noise: Vector, used: Mask) 
     return _correct(state, 1, innovation, across, own + noise, used)
 
 
+def take_tilt(state: Motion, force: Vector, noise: Vector, used: Mask) -> tuple[Motion, Gains]:
+    """Correct roll and pitch by a specific force that is gravity's [m/s²]; ``noise`` is its variance."""
+    vertical = earth_z_in_body(state.q_xyzw)
+    innovation = cross(force / STANDARD_GRAVITY, vertical) - state.lean
+    across = state.covariance[..., THETA, :] + state.covariance[..., LEAN, :]
+    own = across[..., THETA] + across[..., LEAN] + column(largest(noise)) / STANDARD_GRAVITY**2
+    return _correct(state, 2, innovation, across, own, used & np.array([True, True, False]))
+
+
 def _correct(
     state: Motion, sensor: int, innovation: Vector, across: Array, variance: Vector, used: Mask
 ) -> tuple[Motion, Gains]:
@@ -168,7 +186,7 @@ def _correct(
     bound = innovation * innovation / (LOUD * exp(LOUDER * larger(loud - SEVERAL, 0.0)))
     variance = larger(variance, SMALL)
     louder = where(bound > variance, loud + 1.0, larger(loud - 1.0, 0.0))
-    own = np.eye(2)[sensor][:, None] * column(used).swapaxes(-1, -2)
+    own = np.eye(3)[sensor][:, None] * column(used).swapaxes(-1, -2)
     variance = larger(variance, bound)
     gain = where(column(used), across / column(variance), 0.0)
     moved = moved_by(state, gain * column(innovation))
@@ -178,7 +196,7 @@ def _correct(
 
 
 def moved_by(state: Motion, change: Array) -> Motion:
-    """Add a change (..., 3, 8) of the states."""
+    """Add a change (..., 3, 9) of the states."""
     return state._replace(
         q_xyzw=turn(state.q_xyzw, change[..., THETA]),
         bias=state.bias + change[..., BETA],
@@ -186,4 +204,5 @@ def moved_by(state: Motion, change: Array) -> Motion:
         unknown=state.unknown + change[..., D],
         scale=state.scale + change[..., SCALE],
         lag=state.lag + change[..., LAG],
+        lean=state.lean + change[..., LEAN],
     )

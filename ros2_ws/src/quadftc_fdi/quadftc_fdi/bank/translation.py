@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from quadftc_fdi.bank.inference import Bank, Posterior
-from quadftc_fdi.bank.noise import TIGHT
+from quadftc_fdi.bank.motion import LOUD
+from quadftc_fdi.bank.trust import Trust
 from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_fdi.isolation import accelerometer_monitor, free_flight, naming, reading_test, rotor_watch
 from quadftc_fdi.isolation.accelerometer_monitor import LEAST, NOISE, AccelerometerMonitor
@@ -26,6 +29,7 @@ from quadftc_model.arrays import (
     Scalar,
     Vector,
     column,
+    components,
     exp,
     larger,
     log,
@@ -35,11 +39,19 @@ from quadftc_model.arrays import (
     where,
 )
 from quadftc_model.position_estimator import PositionEstimator
-from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs, RotorEstimate, SensorEstimate
+from quadftc_model.samples import (
+    FAULT_KINDS,
+    FAULTY,
+    STANDARD_GRAVITY,
+    FaultObserverInputs,
+    RotorEstimate,
+    SensorEstimate,
+)
 from quadftc_model.vehicle import Vehicle
 
 UNTESTED = 1e6  # m²/s⁴; mark: variance of a prediction that tests nothing
 EVERY = slice(0, 3)
+OFFSET = FAULT_KINDS.index("offset")
 
 
 class Translation(NamedTuple):
@@ -100,13 +112,15 @@ def judge_rotors(
 def ask_position(state: Translation, bank: Bank, posterior: Posterior) -> tuple[Posterior, Mask]:
     """Weigh faults of the attitude by the tilt that the position shows; also return where it does (..., 3).
 
-    That tilt follows a fault b + s t late (`free_flight`). Off by more than three sigma, it fits nothing, and
-    says nothing.
+    That tilt follows a fault b + s t late (`free_flight`). What it shows of a fault that is believed is taken
+    off, and as large again is the doubt: a yaw that is off turns the force, too.
     """
     xp, flight = namespace(bank.age), state.flight
     if flight is None:
         return posterior, state.accelerometer.faulty & False
     tilt, own, counts = (part[..., None] for part in free_flight.tilt_of(flight, state.accelerometer))
+    shown = flight.due[..., None]
+    tilt, own = tilt - shown, own + (shown * shown).sum(axis=-2, keepdims=True)
     age = larger(bank.age[..., EVERY, :], 0.0)
     lag = column(column(larger(free_flight.lag_of(flight), SHORTEST)))
     of_size = 1.0 - exp(-age / lag)
@@ -115,11 +129,30 @@ def ask_position(state: Translation, bank: Bank, posterior: Posterior) -> tuple[
     due = of_size * b[..., 0, :, :] + of_slope * b[..., 1, :, :]
     spread = of_size**2 * C[..., 0, :, :] + 2.0 * of_size * of_slope * C[..., 1, :, :]
     both = own + larger(spread + of_slope**2 * C[..., 2, :, :], 0.0)
-    fits = smaller((tilt - due) ** 2 / both, TIGHT) + log(both / own)
-    said = where(counts, 0.5 * (smaller(tilt * tilt / own, TIGHT) - fits), 0.0)
+    fits = smaller((tilt - due) ** 2 / both, LOUD) + log(both / own)
+    said = where(counts, 0.5 * (smaller(tilt * tilt / own, LOUD) - fits), 0.0)
     others = xp.zeros_like(posterior.log_weight[..., 3:, :])
     weight = posterior.log_weight + xp.concatenate([said, others], axis=-2)
     return posterior._replace(log_weight=weight), counts[..., 0]
+
+
+def noise_of_force(state: Translation) -> Vector:
+    """Return the variance of the accelerometer's noise [m²/s⁴]."""
+    return larger(state.readings.variance, LEAST**2)
+
+
+def follow_fault(
+    state: Translation, off: Vector, attitude: Trust, before: Mask, stuck: Mask, dt: Scalar
+) -> Translation:
+    """Follow the tilt that the position shows of an attitude that is ``off`` [rad] where it is not believed.
+
+    ``before``: it was not at the last sample, either.
+    """
+    if state.flight is None:
+        return state
+    size = where(attitude.faulty | stuck, off, 0.0)
+    new = attitude.faulty & ~before
+    return state._replace(flight=free_flight.follow_tilt(state.flight, size, attitude.age, new, dt))
 
 
 def judge_accelerometer(
@@ -138,7 +171,7 @@ def judge_accelerometer(
     if flight is not None:
         flight = flight._replace(unsure=larger(flight.unsure, state.pushing))
     flight, off, unsure = free_flight.force_deviation(flight, monitor, vehicle, inputs, q_xyzw, dt)
-    noise, predicted = larger(state.readings.variance, LEAST**2), unsure + UNTESTED * ~column(inputs.driven)
+    noise, predicted = noise_of_force(state), unsure + UNTESTED * ~column(inputs.driven)
     readings = state.readings._replace(held=state.readings.held + state.pushing)
     readings, verdict = reading_test.test_reading(readings, force, there, off**2, predicted, noise, 0.0, dt)
     seen = off, noise, readings.suspicion, there, verdict, doubtful, dt
@@ -152,7 +185,21 @@ def judge_accelerometer(
     return state._replace(readings=readings, accelerometer=monitor, flight=flight)
 
 
-def say(state: Translation, valid: Flag) -> tuple[SensorEstimate, RotorEstimate | None]:
-    """Say what is known of accelerometer and rotors; ``valid``: there is a specific force."""
-    accelerometer = naming.name_accelerometer(state.accelerometer, state.readings, EVERY, valid)
+def say(state: Translation, felt: Trust, valid: Flag) -> tuple[SensorEstimate, RotorEstimate | None]:
+    """Say what is known of accelerometer and rotors; ``valid``: there is a specific force.
+
+    The accelerometer is faulty by its own test, or as the tilt that is ``felt`` is not that of the motion.
+    """
+    said = naming.name_accelerometer(state.accelerometer, state.readings, EVERY, valid)
+    roll, pitch, yaw = components(where(felt.faulty, felt.size, 0.0) * STANDARD_GRAVITY)
+    age, by_tilt = (
+        part[..., np.array([1, 0, 2])] for part in (felt.age, felt.faulty & (said.onset_age < 0.0))
+    )
+    accelerometer = said._replace(
+        state=where(by_tilt, FAULTY, said.state).astype(said.state.dtype),
+        size=where(by_tilt, stacked([-pitch, roll, yaw]), said.size),
+        onset_age=where(by_tilt, age, said.onset_age),
+        probability=where(by_tilt, 1.0, said.probability),
+        kind=where(by_tilt, OFFSET, said.kind).astype(said.kind.dtype),
+    )
     return accelerometer, None if state.rotors is None else estimate_rotors(state.rotors.monitor)

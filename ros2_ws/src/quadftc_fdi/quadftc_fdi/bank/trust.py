@@ -96,7 +96,7 @@ def take_over(
     moves = of_gyro + column(column(column(usual))) * (jumps + lags)
     changed = bank.U + moves[..., None, :, None] * inference.shape_of(bank)[..., None, None, :, :, :]
     picked = (changed * effect[..., None, None, None, :, :]).sum(axis=(-1, -2))
-    U = xp.moveaxis(picked, -3, -1)  # (..., 3, 2, 8)
+    U = xp.moveaxis(picked, -3, -1)  # (..., 3, 2, 9)
     b = xp.stack([of(posterior.b[..., k, :, :]) for k in range(2)], axis=-1)
     first, mixed, last = (of(posterior.covariance[..., k, :, :]) for k in range(3))
     spread = xp.stack([xp.stack([first, mixed], axis=-1), xp.stack([mixed, last], axis=-1)], axis=-2)

@@ -24,6 +24,7 @@ from quadftc_model.arrays import (
     Flag,
     Mask,
     Quaternion,
+    Scalar,
     Vector,
     any_of,
     branch,
@@ -64,6 +65,7 @@ class State(NamedTuple):
     bank: Bank
     attitude: Trust
     gyro: Trust
+    force: Trust  # of the accelerometer, by the tilt that it shows
     angles_read: Readings  # of the attitude [rad]
     rates_read: Readings  # of the gyro [rad/s]
     worth: Array  # log weight of the hypotheses (..., modes, slots)
@@ -105,6 +107,7 @@ class BankObserver(FlightLaw):
             bank=bank,
             attitude=full,
             gyro=full,
+            force=full,
             angles_read=angles_read,
             rates_read=rates_read,
             worth=bank.age[..., modes.EFFECT, :] + inference.LOWEST,
@@ -142,17 +145,19 @@ class BankObserver(FlightLaw):
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
         beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
         moved, known, torque = self._predict(state, inputs, read, turning, levels, dt)
-        good = good_gyro, good_attitude
-        bank, moved, by_attitude, off, added = self._measure(state, imu, moved, levels, good, dt)
-        bank = inference.disregard(bank, readings.is_stuck(attitude_read), readings.is_stuck(gyro_read))
+        bank, moved, by_attitude, off, added, tilt = self._measure(
+            state, imu, moved, levels, (good_gyro, good_attitude), inputs.driven, dt
+        )
+        stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
+        bank = inference.disregard(bank, *stuck)
         # believe
-        failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude)])
-        witnesses = speaks[1] & ~state.gyro.faulty, column(inputs.driven)
-        posterior = inference.believe(bank, speaks[0], inputs.driven, failing, 2.0 * log(1.0 - self.level))
+        failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude, state.force)])
+        held = speaks[0], speaks[0] | (tilt is not None and tilt.used)
+        posterior = inference.believe(bank, *held, inputs.driven, failing, 2.0 * log(1.0 - self.level))
         posterior, asked = translation.ask_position(beside, bank, posterior)
         shares, p, doubt = _probabilities(posterior)
         aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
-        named = self._named(p, doubt, aged, asked, *witnesses)
+        named = self._named(p, doubt, aged, asked, speaks[1] & ~state.gyro.faulty, column(inputs.driven))
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
@@ -172,8 +177,11 @@ class BankObserver(FlightLaw):
         believed = motion.unsettled(believed, motion.D, where(gyro, believed.unknown**2, 0.0))
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, believed, dt)
-        usual, louder = state.motion.bias, noise.louder(state.learning)
-        gyro = trust.watch_gyro(before[1], gyro, age, believed, known, usual, louder, dt)
+        beside = translation.follow_fault(beside, off, attitude, before[0].faulty, stuck[0], dt)
+        force = self._watch_force(state, tilt, named, age, imu.force_valid, believed, dt)
+        gyro = trust.watch_gyro(
+            before[1], gyro, age, believed, known, state.motion.bias, noise.louder(state.learning), dt
+        )
         # learn
         turned = turn(state.q_xyzw, 0.5 * (read + state.rate) * column(dt))
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
@@ -185,6 +193,7 @@ class BankObserver(FlightLaw):
             bank=inference.learn_temper(bank, namespace(p).stack(well, axis=-2), dt),
             attitude=attitude,
             gyro=gyro,
+            force=force,
             angles_read=attitude_read,
             rates_read=gyro_read,
             worth=posterior.log_weight,
@@ -195,8 +204,7 @@ class BankObserver(FlightLaw):
             translation=beside,
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
-        b = inference.by_effect(posterior.b * (shares * ~is_sure[..., None, None])[..., None, :, :])
-        shift = (bank.U * b[..., None, None, :, :, :]).sum(axis=(-3, -2)).sum(axis=-1).swapaxes(-1, -2)
+        shift = inference.expected_change(bank, posterior, shares * ~is_sure[..., None, None])
         flown = motion.moved_by(believed, shift)
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         seen = (
@@ -206,10 +214,19 @@ class BankObserver(FlightLaw):
         return self._said(after, inputs, flown, *seen, dt)
 
     def _measure(
-        self, state: State, imu: ImuSample, moved: Motion, levels: Noise, good: tuple[Mask, Mask], dt: float
-    ) -> tuple[Bank, Motion, Gains, Vector, Array]:
-        """Take gyro and attitude where they are ``good``; return the bank, the motion, and of the attitude:
-        gains, how far it is off [rad], and what a fault of 1 rad or 1 s adds to its rotation vector.
+        self,
+        state: State,
+        imu: ImuSample,
+        moved: Motion,
+        levels: Noise,
+        good: tuple[Mask, Mask],
+        driven: Flag,
+        dt: float,
+    ) -> tuple[Bank, Motion, Gains, Vector, Array, Gains | None]:
+        """Take gyro and attitude where they are ``good``, and the tilt by gravity.
+
+        Return the bank, the motion, and of the attitude: gains, how far it is off [rad], and what a fault of
+        1 rad or 1 s adds to its rotation vector. The last are the gains of the tilt, None in free flight.
         """
         good_gyro, good_attitude = good
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
@@ -227,7 +244,33 @@ class BankObserver(FlightLaw):
         kept = quaternion_from_euler(angles + where(good_attitude, off, 0.0))
         taken = where(any_of(~good_attitude), kept, imu.q_xyzw)
         moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
-        return inference.weigh(bank, OF_ATTITUDE, by_attitude, expected), moved, by_attitude, off, added
+        bank = inference.weigh(bank, OF_ATTITUDE, by_attitude, expected)
+        beside, tilt = state.translation, None
+        if beside.flight is None:
+            feels = imu.force_valid & driven & ~any_of(beside.accelerometer.faulty)[..., 0]
+            feels, white = column(feels) & ~state.force.faulty, translation.noise_of_force(beside)
+            expected = inference.of_tilt(bank, modes.pattern(modes.FELT))
+            moved, tilt = motion.take_tilt(moved, imu.specific_force, white, feels)
+            bank = inference.weigh(bank, OF_ATTITUDE, tilt, expected)
+        return bank, moved, by_attitude, off, added, tilt
+
+    def _watch_force(
+        self,
+        state: State,
+        tilt: Gains | None,
+        named: Array,
+        age: Scalar,
+        there: Flag,
+        believed: Motion,
+        dt: float,
+    ) -> Trust:
+        """Watch the tilt that the accelerometer shows by the motion; there is none in free flight."""
+        if tilt is None:
+            return state.force
+        felt = _said_of(modes.FELT, 1.0 * named) > 0.0
+        noise_of_tilt = translation.noise_of_force(state.translation) / samples.STANDARD_GRAVITY**2
+        off = tilt.innovation, tilt.variance, noise_of_tilt
+        return trust.watch_attitude(state.force, felt, age, *off, there, believed, dt)
 
     def _judge_rotors(
         self, state: State, inputs: FaultObserverInputs, faulty: Mask, dt: float
@@ -321,7 +364,7 @@ class BankObserver(FlightLaw):
         beside = translation.judge_accelerometer(
             state.translation, self.vehicle, self.motion_law, inputs, flown.q_xyzw, doubtful, dt
         )
-        by_accelerometer, rotors = translation.say(beside, imu.force_valid)
+        by_accelerometer, rotors = translation.say(beside, state.force, imu.force_valid)
         corrected = imu._replace(
             q_xyzw=flown.q_xyzw,
             body_rate=flown.rate,
@@ -374,15 +417,16 @@ def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
     shares = shares / total[..., None, None]
     p = shares.sum(axis=-1)
     others = p @ (1.0 - modes.SAME)  # a sum, as 1 - p would lose it to rounding
-    vibration = posterior.vibration[..., modes.AXIS] * (modes.KIND == modes.WILD)
+    wild = modes.KIND == modes.WILD
+    vibration = posterior.vibration[..., modes.AXIS] * wild
     vibrates, same = p * vibration, modes.SAME - np.eye(modes.MODES)
-    left = column(none / total) + others + vibrates + (vibrates @ same) * (p < p @ same)
+    left = column(none / total) + others + vibrates + (vibrates @ same) * (p < (p * wild) @ same)
     return shares * (1.0 - vibration)[..., None], p * (1.0 - vibration), left
 
 
 def _said_of(sensor: int, of_modes: Array) -> Vector:
     """Add up what is said of faults of attitude or gyro, by axis."""
-    return of_modes[..., sensor == modes.NAME].reshape(*of_modes.shape[:-1], 2, 3).sum(axis=-2)
+    return of_modes[..., sensor == modes.NAME].reshape(*of_modes.shape[:-1], -1, 3).sum(axis=-2)
 
 
 def _off(before: Vector, imu: ImuSample, believed: Motion, good: Mask) -> Vector:
