@@ -137,6 +137,13 @@ def test_an_attitude_that_is_late_while_its_axis_swings_is_named_and_no_gyro(axi
     assert alarms(said)[0] == {("attitude", axis)}
 
 
+def test_an_accelerometer_that_lies_along_z_while_the_vehicle_is_tilted_lies_along_z_alone():
+    tilted = felt_too(with_fault("attitude", np.array([0.1, -0.1, 0.0])))
+    fault = -4.0 * ON[:, None] * np.array([0.0, 0.0, 1.0])
+    said = said_of(with_imu(tilted, specific_force=tilted.imu.specific_force + fault))
+    assert alarms(said)[0] == {("accelerometer", 2)}
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize(("size", "power"), [(0.8, 0), (0.4, 1)])
 def test_an_accelerometer_that_jumps_or_drifts_is_named_and_nobody_else(axis, size, power):

@@ -37,6 +37,7 @@ from quadftc_model.arrays import (
     Vector,
     clip,
     column,
+    components,
     cross,
     exp,
     larger,
@@ -171,9 +172,12 @@ def take_attitude(state: Motion, q_xyzw: Quaternion, noise: Vector, used: Mask) 
 
 
 def take_tilt(state: Motion, force: Vector, noise: Vector, used: Mask) -> tuple[Motion, Gains]:
-    """Correct roll and pitch by a specific force that is gravity's [m/s²]; ``noise`` is its variance."""
-    vertical = earth_z_in_body(state.q_xyzw)
-    innovation = cross(force / STANDARD_GRAVITY, vertical) - state.lean
+    """Correct roll and pitch by a specific force that is gravity's [m/s²]; ``noise`` is its variance.
+
+    What it reads along z does not count: a fault of that would be a tilt wherever the vehicle tilts.
+    """
+    vertical, (x, y, _) = earth_z_in_body(state.q_xyzw), components(force / STANDARD_GRAVITY)
+    innovation = cross(stacked([x, y, vertical[..., 2]]), vertical) - state.lean
     across = state.covariance[..., THETA, :] + state.covariance[..., LEAN, :]
     own = across[..., THETA] + across[..., LEAN] + column(largest(noise)) / STANDARD_GRAVITY**2
     return _correct(state, 2, innovation, across, own, used & np.array([True, True, False]))
