@@ -28,7 +28,8 @@ from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_met
 BAGS = (".mcap", ".db3", ".bag")
 DEFAULT_OBSERVER = "supervised"
 DEFAULT_VEHICLE = "qball_x4"
-FROM_GYRO, LAG = "attitude_from_gyro", "rotor_lag"  # parameters of observers to which they matter
+# parameters of observers to which they matter
+FROM_GYRO, LAG, FEELS = "attitude_from_gyro", "rotor_lag", "feels_gravity"
 PREFIX = "observer."  # of a parameter that is set
 
 
@@ -172,7 +173,7 @@ def choose_observer(
 
     ``vehicle`` is a name or the path of a TOML file, a setting ``observer.<parameter>=value``. What neither
     caller nor recording says is `DEFAULT_OBSERVER`, `DEFAULT_VEHICLE`. Real rotors follow a logged command by
-    the lag of the vehicle's file.
+    the lag of the vehicle's file; their accelerometer does not feel gravity.
     """
     if recording.observer is None and not name:
         raise BagError(f"{recording.path}: parameters.yaml makes no sense; choose with --observer")
@@ -190,6 +191,8 @@ def choose_observer(
         parameters[f"{kind}.{FROM_GYRO}"] = True
     if recording.torque_is_command and hasattr(fault_observers.get(kind), LAG):
         parameters[f"{kind}.{LAG}"] = load_vehicle(get(parameters, "vehicle", str)).rotors.time_constant
+    if recording.torque_is_command and hasattr(fault_observers.get(kind), FEELS):
+        parameters[f"{kind}.{FEELS}"] = False  # in flight it feels the thrust
     if not name:
         parameters |= {key: value for key, value in recorded.items() if key.startswith(f"{kind}.")}
     for setting in settings:

@@ -98,6 +98,7 @@ def test_vehicle_of_a_log_and_the_lag_of_its_rotors_reach_the_observer(path, cho
     parameters = plan_replay(path, ReplayOptions(observer="bank", choice=choice)).observer.parameters
     assert parameters["vehicle"] == "crazyflie_2x"
     assert parameters["bank.rotor_lag"] == load_vehicle("crazyflie_2x").rotors.time_constant
+    assert parameters["bank.feels_gravity"] is False
     asked = ReplayOptions(
         observer="bank", vehicle="x500", settings=("observer.rotor_lag=0.0",), choice=choice
     )

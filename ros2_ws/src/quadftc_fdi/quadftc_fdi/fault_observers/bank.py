@@ -92,6 +92,7 @@ class BankObserver(FlightLaw):
     level: float = parameter(0.99, low=0.5, high=1.0, doc="probability from which a fault is named")
     rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
+    feels_gravity: bool = parameter(True, doc="the accelerometer, without a position: as on a test stand")
 
     def init(self, inputs: FaultObserverInputs) -> State:
         """Start at a sample."""
@@ -226,7 +227,7 @@ class BankObserver(FlightLaw):
         """Take gyro and attitude where they are ``good``, and the tilt by gravity.
 
         Return the bank, the motion, and of the attitude: gains, how far it is off [rad], and what a fault of
-        1 rad or 1 s adds to its rotation vector. The last are the gains of the tilt, None in free flight.
+        1 rad or 1 s adds to its rotation vector. Last are the gains of the tilt, None if it is not felt.
         """
         good_gyro, good_attitude = good
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
@@ -246,7 +247,7 @@ class BankObserver(FlightLaw):
         moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
         bank = inference.weigh(bank, OF_ATTITUDE, by_attitude, expected)
         beside, tilt = state.translation, None
-        if beside.flight is None:
+        if beside.flight is None and self.feels_gravity:
             feels = imu.force_valid & driven & ~any_of(beside.accelerometer.faulty)[..., 0]
             feels, white = column(feels) & ~state.force.faulty, translation.noise_of_force(beside)
             expected = inference.of_tilt(bank, modes.pattern(modes.FELT))
@@ -264,7 +265,7 @@ class BankObserver(FlightLaw):
         believed: Motion,
         dt: float,
     ) -> Trust:
-        """Watch the tilt that the accelerometer shows by the motion; there is none in free flight."""
+        """Watch the tilt that the accelerometer shows by the motion; there may be none."""
         if tilt is None:
             return state.force
         felt = _said_of(modes.FELT, 1.0 * named) > 0.0
