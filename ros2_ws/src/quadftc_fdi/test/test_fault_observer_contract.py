@@ -11,11 +11,12 @@ from quadftc_fdi.fault_observer import LastDiagnosis, fault_observers, is_usable
 from quadftc_model.arrays import rows_of
 from quadftc_model.numbers import numbers_of, with_numbers
 from quadftc_model.parameters import parameters_of
-from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
+from quadftc_model.rotations import body_rates, earth_z_in_body, euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
     FAULT_KINDS,
     HEALTHY,
     RECOVERING,
+    STANDARD_GRAVITY,
     STARTING,
     FaultObserverInputs,
     ImuSample,
@@ -161,6 +162,8 @@ def test_corrected_attitude_is_a_unit_quaternion(name):
 @EVERY_OBSERVER
 def test_healthy_start_shows_no_fault_and_the_measured_attitude(name):
     inputs = inputs_at(0)
+    by_gravity = STANDARD_GRAVITY * earth_z_in_body(inputs.imu.q_xyzw)
+    inputs = inputs._replace(imu=inputs.imu._replace(specific_force=by_gravity))
     estimate = flown(observer(name), [inputs])[1][0]
     np.testing.assert_allclose(estimate.fault, 0.0, atol=1e-12)
     measured = euler_from_quaternion(inputs.imu.q_xyzw)

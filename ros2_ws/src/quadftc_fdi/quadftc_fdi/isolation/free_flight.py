@@ -181,8 +181,8 @@ def step_flight(
 
 def follow_tilt(state: FreeFlight, fault: Vector, age: Vector, new: Mask, dt: Scalar) -> FreeFlight:
     """Follow what b shows of attitude faults [rad] of an age [s]. ``new`` ones have grown evenly so far."""
-    lag = column(lag_of(state))
-    ago = larger(age, dt)
+    lag = column(larger(lag_of(state), SHORTEST))
+    ago = larger(age, larger(dt, SHORTEST))
     grown = fault * (1.0 - lag / ago * (1.0 - exp(-ago / lag)))
     return state._replace(due=where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due)))
 
