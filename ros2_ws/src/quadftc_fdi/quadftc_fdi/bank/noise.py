@@ -12,8 +12,8 @@ sample have a variance of 6 R (1 - 4/3 rho + rho²/3) only. R is then seen over 
 is that of white noise which averages alike, R (1 + rho) / (1 - rho). Vibration comes at once: by how much
 those changes have grown over the longer lag, by that the noise has.
 
-A steady drift is taken off: a trim, a bias. Squares are clipped, so a fault that has not been found yet
-teaches little; news count twice, so that what was learned at first is soon outweighed.
+A steady drift is taken off: a trim, a bias. Squares are clipped, so spikes, and a fault that has not been
+found yet, teach little; news count twice, so that what was learned at first is soon outweighed.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ LONGER = 0.2  # s; chosen: the same of the attitude
 MEMORY = 20.0  # s; chosen: of what is learned
 PRIOR = 0.25  # s; chosen: what the values at the start are worth
 NEWS = 2.0  # 1; chosen: what news count more than in a mean
-LOOSE = 100.0  # 1; chosen: largest square over the mean of squares, gyro
-TIGHT = 9.0  # 1; chosen: the same of the attitude: three sigma
+LOOSE = 100.0  # 1; chosen: largest square over the mean of squares, gyro over the lag
+TIGHT = 9.0  # 1; chosen: the same of others: three sigma; so spikes teach little
 GYRO = 0.005  # rad/s; chosen: white noise at the start
 UNKNOWN = 1.0  # rad/s²; chosen: unknown acceleration at the start
 LEAST_UNKNOWN = 0.1  # rad/s²; chosen: unknown acceleration of any vehicle
@@ -171,7 +171,7 @@ def _learned(
     steady, bound = far - state.drift * age, sqrt(clip * state.far)
     moved = smaller(larger(steady, -bound), bound)
     return Variogram(
-        state.near + gain * (smaller(near * near, clip * state.near) - state.near),
+        state.near + gain * (smaller(near * near, TIGHT * state.near) - state.near),
         state.far + gains * (moved * moved - state.far),
         state.lag + gains * (age**power - state.lag),
         time,

@@ -1,6 +1,9 @@
 """Readings that are absent or repeated: rules, as no model of the motion has a say in that.
 
 A sensor may be slower than the gyro. It is absent when several readings in a row have not come.
+
+Without noise, as in a simulation, readings change less and less when the vehicle comes to rest. That they
+repeat says nothing then. Those of a sensor with noise stop at once.
 """
 
 from __future__ import annotations
@@ -8,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.bank.noise import MEMORY, NEWS, PRIOR, SEVERAL, SMALL
+from quadftc_fdi.bank.noise import LONG, MEMORY, NEWS, PRIOR, SEVERAL, SMALL, TIGHT
 from quadftc_model.arrays import (
     Flag,
     Mask,
@@ -42,6 +45,7 @@ class Readings(NamedTuple):
     missed: Vector  # how many have not come since the last
     gap: Vector  # usual time between two [s]
     grain: Vector  # smallest change from reading to reading so far
+    lately: Vector  # mean square of the changes of late
     learned: Vector  # for how long there have been some [s]
     absent: Vector  # for how long it counts as absent still [s]
     stuck: Vector  # the same of stuck [s]
@@ -52,7 +56,8 @@ def start_readings(reading: Vector) -> Readings:
     """Start at a reading."""
     zeros = namespace(reading).zeros_like(reading)
     often, slow, any_change = zeros + CHANCE, zeros + BACK / SEVERAL, zeros + UNUSABLE
-    return Readings(reading, zeros, often, zeros, slow, any_change, zeros, zeros, zeros, zeros)
+    changes = any_change, any_change
+    return Readings(reading, zeros, often, zeros, slow, *changes, zeros, zeros, zeros, zeros)
 
 
 def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, dt: Scalar) -> Readings:
@@ -62,13 +67,16 @@ def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, d
     gone = was_there(state) & ~present & (missed > SEVERAL - 0.5)
     took = smaller(missed, SEVERAL) * state.gap
     change = abs(reading - state.last)
-    same = present & (change <= SAME * sqrt(usual))
+    same = present & (change <= SAME * sqrt(smaller(usual, state.lately)))
+    quiet = state.lately < SAME**2 * usual
     learns = (took / MEMORY) * (present & (state.repeats < SEVERAL))
     new = present & ~same
     by_grain = smaller(COARSE * state.grain / sqrt(usual + SMALL), LIKELY)
     chance = state.chance + learns * (same - state.chance)
     repeats = where(present, (state.repeats + 1.0) * same, state.repeats)
-    repeated = repeats * log(clip(larger(chance, by_grain), CHANCE**2, LIKELY)) < RARE
+    square = smaller(change * change, TIGHT * larger(state.lately, usual))
+    share = where(state.lately < UNUSABLE, smaller(took / LONG, 1.0), 1.0)
+    repeated = ~quiet & (repeats * log(clip(larger(chance, by_grain), CHANCE**2, LIKELY)) < RARE)
     return Readings(
         last=where(new, reading, state.last),
         repeats=repeats,
@@ -76,6 +84,7 @@ def take_reading(state: Readings, reading: Vector, there: Flag, usual: Vector, d
         missed=missed * ~present,
         gap=state.gap + smaller(NEWS * took / (PRIOR + state.learned), 1.0) * (took - state.gap) * present,
         grain=where(new & (usual > 0.0), smaller(state.grain, change), state.grain),
+        lately=where(new, state.lately + share * (square - state.lately), state.lately),
         learned=smaller(state.learned + took * present, MEMORY),
         absent=where(gone, BACK, larger(state.absent - dt, 0.0)),
         stuck=where(repeated, BACK, larger(state.stuck - dt, 0.0)),
