@@ -15,6 +15,7 @@ WALK, AXIS = 0.02, 0  # rad/s/sqrt(s)
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 RARER = -9.0  # log of odds
 THERE, NONE = np.ones(3, bool), np.zeros(3, bool)
+RETURNS = (modes.RETURN, modes.GYRO_RETURN)
 ALIKE = np.zeros((modes.MODES, sum(SLOTS)))  # log weight
 
 
@@ -81,6 +82,7 @@ def fly_bank(known, gyro, angle, repeats_gyro, *onsets):
     e = np.eye(3)[AXIS]
     state = without_sensor_errors(motion.start_motion(LEVEL, np.zeros(3), NOISE))
     bank = inference.start_bank(np.zeros(3))
+    bank = bank._replace(temper=np.ones_like(bank.temper))
     for row in range(ROWS):
         mean = gyro[row] * e
         given = known[row] * e, np.zeros(3), np.True_, mean, np.full(3, WALK), NOISE, repeats_gyro, DT
@@ -98,7 +100,7 @@ def believed_of(bank, good_attitude=THERE, failing=NONE):
 def one_onset(bank, now):
     """Let all hypotheses grow older; begin an onset in each ring, or in none."""
     bank = bank._replace(since=np.array(SPACING) if now else np.full(len(SLOTS), -1.0))
-    return inference.open_slots(bank, ALIKE, DT)
+    return inference.open_slots(bank, ALIKE, NONE, DT)
 
 
 def measure(state, bank, gyro, q_xyzw):
@@ -122,9 +124,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
     monkeypatch.setattr(motion, "JITTER", 0.0)
     known, gyro, angle = readings(kind, size, slope, repeats_gyro)
     state, bank = fly_bank(known, gyro, angle, repeats_gyro, ONSET)
-    # nothing is left unexplained
-    bank = bank._replace(temper=np.ones_like(bank.temper), square=0.0 * bank.square)
-    believed = believed_of(bank)
+    believed = believed_of(bank._replace(square=0.0 * bank.square))  # nothing is left unexplained
     start = motion.start_motion(LEVEL, np.zeros(3), NOISE).covariance[AXIS, :4, :4]
     mode = 3 * kind + AXIS
     knows, healthy = SecondFilter(start, kind), SecondFilter(start, None)
@@ -151,17 +151,25 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
     assert pytest.approx(knows.P[:4, :4], rel=1e-6, abs=1e-12) == P
 
 
-@pytest.mark.parametrize("repeats_gyro", [False, True])
-def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(repeats_gyro, monkeypatch):
+@pytest.mark.parametrize(
+    ("kind", "ended", "size", "slope", "repeats_gyro"),
+    [
+        (modes.RETURN, modes.ATTITUDE, 0.03, 0.02, False),
+        (modes.RETURN, modes.ATTITUDE, 0.03, 0.02, True),
+        (modes.GYRO_RETURN, modes.GYRO, -0.1, 0.1, False),
+    ],
+)
+def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(
+    kind, ended, size, slope, repeats_gyro, monkeypatch
+):
     monkeypatch.setattr(motion, "SMEAR", 0.0)
     monkeypatch.setattr(motion, "JITTER", 0.0)
-    known, gyro, angle = readings(modes.ATTITUDE, 0.03, 0.02, repeats_gyro, END)
+    known, gyro, angle = readings(ended, size, slope, repeats_gyro, END)
     state, bank = fly_bank(known, gyro, angle, repeats_gyro, ONSET, END)
-    bank = bank._replace(temper=np.ones_like(bank.temper), square=0.0 * bank.square)
-    believed = believed_of(bank)
-    mode, slot = 3 * modes.RETURN + AXIS, SLOT + 1
+    believed = believed_of(bank._replace(square=0.0 * bank.square))
+    mode, slot = 3 * kind + AXIS, SLOT + 1
     start = motion.start_motion(LEVEL, np.zeros(3), NOISE).covariance[AXIS, :4, :4]
-    knows, healthy = SecondFilter(start, modes.ATTITUDE), SecondFilter(start, None)
+    knows, healthy = SecondFilter(start, ended), SecondFilter(start, None)
     for row in range(ROWS):
         for each in (knows, healthy):
             each.predict(known[row], gyro[row], repeats_gyro)
@@ -173,15 +181,29 @@ def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(repeats_
             each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
     assert not state.loud.any()
     # four slots hold that fault, alike; the end comes at the rate of events
-    began = inference.USUAL[modes.ATTITUDE + AXIS, [FIRST[ring] for ring in range(len(SLOTS))]].mean()
+    began = inference.USUAL[3 * ended + AXIS, [FIRST[ring] for ring in range(len(SLOTS))]].mean()
     evidence = believed.log_weight[mode, slot] - began - np.log(modes.EVENTS / 3600.0 * SPACING[0])
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
-    assert evidence > believed.log_weight[modes.ATTITUDE + AXIS].max()
+    assert evidence > believed.log_weight[3 * ended + AXIS].max()
     assert believed.b[:, mode, slot] == pytest.approx(knows.x[4:], rel=1e-6, abs=1e-9)
-    b, U = believed.b[:, mode, slot], bank.U[:4, AXIS, :, 3 * modes.RETURN + AXIS, slot]
+    b, U = believed.b[:, mode, slot], bank.U[:4, AXIS, :, mode, slot]
     angle_now = 2.0 * np.arctan2(state.q_xyzw[AXIS], state.q_xyzw[3])
     x = np.array([angle_now, state.bias[AXIS], state.rate[AXIS], state.unknown[AXIS]])
     assert x + U @ b == pytest.approx(knows.x[:4], rel=1e-6, abs=1e-8)
+
+
+def test_what_a_fault_has_taught_since_its_onset_does_not_excuse_it():
+    flown = [np.ones(2), np.array([1.0, 4.0])]  # temper before and from the onset on
+    seen = motion.Gains(np.ones(3), np.ones(3), np.zeros((3, motion.STATES)), THERE)
+    S = np.ones((3, 2, modes.EFFECTS, sum(SLOTS)))
+    told = []
+    for before, since in flown:
+        bank = one_onset(inference.start_bank(np.zeros(3)), now=False)
+        bank = one_onset(bank._replace(temper=np.full_like(bank.temper, before)), now=True)
+        bank = bank._replace(temper=np.full_like(bank.temper, since))
+        told.append(inference.weigh(bank, OF_ATTITUDE, seen, S))
+    np.testing.assert_array_equal(*(each.J[OF_ATTITUDE][..., SLOT] for each in told))
+    assert told[0].J[OF_ATTITUDE][..., SLOT].all()
 
 
 @pytest.mark.parametrize("kind", [modes.ATTITUDE, modes.GYRO])
@@ -221,9 +243,9 @@ def test_a_torque_may_have_changed_at_any_time_between_two_samples():
 
 def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    believed = believed_of(inference.open_slots(bank, ALIKE, 0.0))
+    believed = believed_of(inference.open_slots(bank, ALIKE, NONE, 0.0))
     for row, kind in enumerate(modes.KINDS):
-        if row == modes.RETURN:
+        if row in RETURNS:
             continue
         for axis in range(3):
             mode = 3 * row + axis
@@ -234,7 +256,7 @@ def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
                 assert believed.log_weight[mode, slot] == pytest.approx(np.log(p))
                 assert believed.covariance[:, mode, slot] == pytest.approx([kind.size**2, 0.0, kind.slope**2])
     began = believed.log_weight > inference.LOWEST
-    assert began.sum() == (modes.MODES - 3) * len(SPACING)  # there is nothing from which to return
+    assert began.sum() == (modes.MODES - 6) * len(SPACING)  # there is nothing from which to return
 
 
 def ages(worth, seconds=6.0, dt=0.004):
@@ -243,7 +265,7 @@ def ages(worth, seconds=6.0, dt=0.004):
     for _ in range(round(seconds / dt)):
         age = bank.age[0]
         likely = np.where(age >= 0.0, worth(now - age), inference.LOWEST)
-        bank = inference.open_slots(bank, ALIKE + likely, dt)
+        bank = inference.open_slots(bank, ALIKE + likely, NONE, dt)
         now += dt
     return [np.sort(bank.age[0, FIRST[k] : FIRST[k + 1]]) for k in range(len(SLOTS))]
 
@@ -265,14 +287,14 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
 
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    bank = inference.open_slots(bank, ALIKE, 0.0)
+    bank = inference.open_slots(bank, ALIKE, NONE, 0.0)
     gone = inference.forget(bank, np.array([False, True, False]), NONE).age < 0.0
     assert np.array_equal(gone, (modes.AXIS[: modes.EFFECTS] == 1)[:, None] | (bank.age < 0.0))
 
 
 def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    bank = inference.open_slots(bank, ALIKE, 0.0)
+    bank = inference.open_slots(bank, ALIKE, NONE, 0.0)
     attitude, gyro = np.array([True, False, False]), np.array([False, True, False])
     gone = (inference.disregard(bank, attitude, gyro).age < 0.0) & (bank.age >= 0.0)
     effects, axis = modes.KIND[: modes.EFFECTS], modes.AXIS[: modes.EFFECTS]
@@ -303,18 +325,18 @@ def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_d
 
 @pytest.mark.parametrize("sensor", range(3))
 def test_the_other_axes_of_a_failing_sensor_are_likelier_to_fail(sensor):
-    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, 1.0)
+    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
     well, ill = (believed_of(bank, failing=np.arange(3) == failing) for failing in (3, sensor))
     more = ill.log_weight - well.log_weight
     own = (modes.GYRO, modes.ATTITUDE, modes.FELT)[sensor] == modes.NAME
     began = well.log_weight > inference.LOWEST
-    assert np.array_equal(began.any(axis=-1), modes.KIND != modes.RETURN)
+    assert np.array_equal(began.any(axis=-1), ~np.isin(modes.KIND, RETURNS))
     assert np.allclose(more[own[:, None] & began], np.log(modes.EVENTS / modes.FAULTS))
     assert not more[~own[:, None] & began].any()
 
 
 def test_a_gyro_whose_attitude_is_not_good_is_less_likely_to_be_blamed():
-    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, 1.0)
+    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
     alone = believed_of(bank, good_attitude=np.array([False, True, True])).log_weight
     less = alone - believed_of(bank).log_weight
     began = alone > inference.LOWEST
@@ -324,7 +346,7 @@ def test_a_gyro_whose_attitude_is_not_good_is_less_likely_to_be_blamed():
 
 
 def test_no_attitude_is_early():
-    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, 1.0)
+    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
     J = np.where(np.arange(3)[:, None, None, None] == 0, 50.0, 0.0) * np.ones_like(bank.J)
     d = 0.1 * J[:, :2]
     late, early = (believed_of(bank._replace(J=J, d=sign * d)) for sign in (1.0, -1.0))

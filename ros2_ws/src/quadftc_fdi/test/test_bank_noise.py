@@ -72,6 +72,12 @@ def test_white_noise_unknown_acceleration_and_wander_are_told_apart(rate):
         assert found[name] == pytest.approx(truth[name], rel=within), name
 
 
+def test_a_wander_far_below_the_noise_of_a_reading_is_found():
+    seen = readings(0.004, 0.003, 0.5, 0.1 * DEG, 0.03 * DEG)  # 0.01 deg in a lag
+    flown = [fly_arrays(Learner(), rows_of(seen, (slice(None), k)), 0.004)[1] for k in range(VEHICLES)]
+    assert np.sqrt(np.mean([each.wander[-1] for each in flown])) == pytest.approx(0.03 * DEG, rel=0.4)
+
+
 def test_a_fault_that_has_not_been_found_teaches_little():
     seen = rows_of(readings(0.004, 0.003, 0.5, 0.1 * DEG, 0.5 * DEG), (slice(None), 0))
     elapsed = np.arange(len(seen.gyro)) * 0.004 - 15.0

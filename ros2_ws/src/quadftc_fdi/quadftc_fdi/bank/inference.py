@@ -12,13 +12,13 @@ With b ~ N(0, P0) the evidence for the mode, against none, is marginal in size a
 Onsets have slots, in four rings. A ring takes an onset every `SPACING`; of its slots the least likely goes,
 and the oldest where nothing is likely. So a hypothesis "since 40 ms" has never used the samples since.
 
-An attitude that drifts may be right again before it is named: it jumps back to where the filter no longer is.
-A return is the likeliest fault of the attitude so far, with all that speaks for it. From its onset on that
+A sensor that drifts may be right again before it is named: it jumps back to where the filter no longer is. A
+return is the likeliest fault of attitude or gyro so far, with all that speaks for it. From its onset on that
 fault adds nothing, but U moves on.
 
 Models are wrong. How much noisier gyro and attitude are to these tests than the filter believes is learned,
-by axis and ring, where they are believed: the `temper`. J and d are divided by the largest of the rings, for
-all modes and onsets alike: it doubts a channel, not a hypothesis.
+by axis and ring, where they are believed: the `temper`. What is added to J and d is divided by the largest of
+the rings, as it was at the onset: what a fault has taught since must not excuse it.
 
 A wild gyro scatters, nobody knows by how much. Of its n innovations the likeliest variance is f V, with f V
 the mean of (e - S b)², if f > 1. Against none, whose innovations have the variance V, that adds
@@ -47,6 +47,7 @@ from quadftc_fdi.bank.modes import (
     EFFECT,
     EFFECTS,
     GYRO,
+    GYRO_RETURN,
     IS_FAULT,
     KIND,
     LATE,
@@ -92,7 +93,7 @@ NEVER = -1.0  # s; mark: age of a slot without an onset
 LOWEST = -1e9  # 1; mark: log weight of such a slot
 CERTAIN = 50.0  # 1; rounding: log of odds
 WILDS = slice(3 * WILD, None)  # modes
-ENDING = TESTS[OF_ATTITUDE]  # modes that a return ends
+RETURNS = ((RETURN, OF_ATTITUDE), (GYRO_RETURN, OF_GYRO))  # and whose faults they end
 # log of the prior: rate times what a slot covers
 USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 
@@ -106,8 +107,9 @@ class Bank(NamedTuple):
     square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
     count: Array  # of these innovations (..., 2, axes, slots)
     age: Array  # of onsets (..., modes, slots) [s]
-    started: Array  # log of the prior of the fault that a return ends (..., axes, slots)
+    started: Array  # log of the prior of the faults that returns end (..., 2, axes, slots)
     since: Array  # since each ring took an onset (..., rings) [s]
+    doubt: Array  # largest temper at the onset (..., 2, axes, slots)
     temper: Array  # of both channels (..., 2, axes, rings)
     learned: Array  # how long that was learned (..., 2, axes, rings) [s]
 
@@ -128,8 +130,9 @@ def start_bank(like: Vector) -> Bank:
     J, temper = xp.zeros((*batch, 2, 3, 3, *modes)), xp.zeros((*batch, 2, 3, len(SLOTS)))
     U, age = xp.zeros((*batch, STATES, 3, 2, *modes)), xp.zeros((*batch, *modes)) + NEVER
     none, since = xp.zeros((*batch, 2, 3, len(RING))), xp.zeros((*batch, len(SLOTS))) - LEARNING
-    started = none[..., 0, :, :] + LOWEST
-    return Bank(U, J, J[..., :2, :, :, :], none, none, age, started, since, temper + DOUBT, temper)
+    started = none + LOWEST
+    doubt = none + DOUBT, temper + DOUBT
+    return Bank(U, J, J[..., :2, :, :, :], none, none, age, started, since, *doubt, temper)
 
 
 def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
@@ -150,10 +153,10 @@ def _cross(rate: Vector, theta: Array) -> Array:
     return namespace(theta).stack([q * z - r * y, r * x - p * z, p * y - q * x], axis=-4)
 
 
-def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
+def open_slots(state: Bank, worth: Array, failing: Flag, dt: Scalar) -> Bank:
     """Begin onsets at this sample in rings that are due.
 
-    ``worth`` (..., modes, slots) is the log weight of the hypotheses so far.
+    ``worth`` (..., modes, slots) is the log weight of the hypotheses so far; ``failing`` is as in `believe`.
     """
     xp = namespace(state.age)
     since = state.since + column(dt)
@@ -169,12 +172,15 @@ def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
     fresh = xp.concatenate(new, axis=-1)[..., None, :]
     jump = np.zeros((STATES, 3, 2, EFFECTS, 1))
     jump[D, :, 0, :, 0] = pattern(PUSH)
-    best, started = _likeliest(state, worth)
+    ended = [_likeliest(state, worth, channel, failing) for _, channel in RETURNS]
+    best, started = [each for each, _ in ended], xp.stack([prior for _, prior in ended], axis=-3)
+    temper = state.temper.max(axis=-1)[..., None]
     return state._replace(
         U=where(fresh[..., None, None, None, :, :], jump + _returning(state.U, best), state.U),
         J=where(fresh[..., None, None, None, :, :], _returning(state.J, best), state.J),
         d=where(fresh[..., None, None, None, :, :], _returning(state.d, best), state.d),
-        started=where(fresh, started, state.started),
+        started=where(fresh[..., None, :, :], started, state.started),
+        doubt=where(fresh[..., None, :, :], temper, state.doubt),
         square=where(fresh[..., None, :, :], 0.0, state.square),
         count=where(fresh[..., None, :, :], 0.0, state.count),
         age=where(fresh, 0.0, age),
@@ -182,32 +188,35 @@ def open_slots(state: Bank, worth: Array, dt: Scalar) -> Bank:
     )
 
 
-def _likeliest(state: Bank, worth: Array) -> tuple[Array, Array]:
-    """Return the likeliest fault of the attitude on each axis, 1 in its slot, and the log of its prior."""
-    began = state.age[..., ENDING, :] >= 0.0
-    likely = where(began, worth[..., ENDING, :], LOWEST)
+def _likeliest(state: Bank, worth: Array, channel: int, failing: Flag) -> tuple[Array, Array]:
+    """Return the likeliest fault of a sensor on each axis, 1 in its slot, and the log of its prior."""
+    ended = TESTS[channel]
+    began = state.age[..., ended, :] >= 0.0
+    likely = where(began, worth[..., ended, :], LOWEST)
     highest = likely.max(axis=-1, keepdims=True)
     best = 1.0 * (likely == highest)
     best = best / best.sum(axis=-1, keepdims=True)
-    prior = (USUAL[ENDING] * best).sum(axis=-1, keepdims=True)
+    prior = (USUAL[ended] * best).sum(axis=-1, keepdims=True)
+    prior = prior + where(failing[..., channel], MORE, 0.0)[..., None, None]
     return best, where(highest > LOWEST, prior, LOWEST)
 
 
-def _returning(part: Array, best: Array) -> Array:
-    """Return what is known of the ``best`` faults (..., 3, slots), in rows of RETURN; zeros in all others."""
-    between = (None,) * (part.ndim - best.ndim)
-    known = (part[..., ENDING, :] * best[(..., *between, slice(None), slice(None))]).sum(
-        axis=-1, keepdims=True
-    )
-    none = namespace(part).zeros_like(known)
-    rows = [known if kind == RETURN else none for kind in range(EFFECTS // 3)]
-    return namespace(part).concatenate(rows, axis=-2)
+def _returning(part: Array, best: list[Array]) -> Array:
+    """Return what is known of the ``best`` faults (..., 3, slots), in rows of returns; zeros in others."""
+    xp, rows = namespace(part), [namespace(part).zeros_like(part[..., :3, :1])] * (EFFECTS // 3)
+    for (kind, channel), chosen in zip(RETURNS, best, strict=True):
+        between = (None,) * (part.ndim - chosen.ndim)
+        known = part[..., TESTS[channel], :] * chosen[(..., *between, slice(None), slice(None))]
+        rows[kind] = known.sum(axis=-1, keepdims=True)
+    return xp.concatenate(rows, axis=-2)
 
 
 def disregard(state: Bank, attitude: Mask, gyro: Mask) -> Bank:
     """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size."""
     none = namespace(gyro).zeros_like(gyro)
-    stuck = namespace(gyro).concatenate([attitude, gyro, none, none, attitude, none], axis=-1)  # as kinds are
+    stuck = namespace(gyro).concatenate(
+        [attitude, gyro, none, none, attitude, none, none], axis=-1
+    )  # as kinds are
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 
 
@@ -245,8 +254,9 @@ def of_gyro(state: Bank, rate: Vector, added: Array) -> Array:
 def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
     """Take a measurement of a channel: its innovations, and what the hypotheses expect of them."""
     xp = namespace(S)
-    weight = where(seen.used, 1.0 / seen.variance, 0.0)
-    w, e = weight[..., None, None], (weight * seen.innovation)[..., None, None, None]
+    weight = column(where(seen.used, 1.0 / seen.variance, 0.0)) / state.doubt[..., channel, :, :]
+    e = weight * column(seen.innovation)  # (..., 3, slots)
+    square, e, w = e * column(seen.innovation), e[..., None, None, :], weight[..., None, :]
     one, two = S[..., 0, :, :], S[..., 1, :, :]  # (..., 3, modes, slots)
     J = xp.stack([w * one * one, w * one * two, w * two * two], axis=-4)
     gain = seen.gain.swapaxes(-1, -2)[..., None, None, None]  # (..., 9, 3, 1, 1, 1)
@@ -255,7 +265,7 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
         U=state.U - gain * S[..., None, :, :, :, :],
         J=state.J + own[..., None] * J[..., None, :, :, :, :],
         d=state.d + own[..., None] * (e * S).swapaxes(-3, -4)[..., None, :, :, :, :],
-        square=state.square + own[..., 0] * (weight * seen.innovation**2)[..., None, :, None],
+        square=state.square + own[..., 0] * square[..., None, :, :],
         count=state.count + own[..., 0] * seen.used[..., None, :, None],
     )
 
@@ -271,10 +281,8 @@ def believe(
     ``failing`` (..., 3), as `modes.SENSOR` counts them, a fault of its other axes is no rarer than what is
     none.
     """
-    xp, share = namespace(state.age), 1.0 / state.temper.max(axis=-1)  # (..., 2, axes); alike for all onsets
-    of_effects = share[..., AXIS[:EFFECTS]][..., None, :, None]
-    J, d = ((part.sum(axis=-3) * of_effects)[..., EFFECT, :] for part in (state.J, state.d))
-    square, count = state.square * share[..., None], state.count  # (..., 2, axes, slots)
+    xp, square, count = namespace(state.age), state.square, state.count  # (..., 2, axes, slots)
+    J, d = (part.sum(axis=-3)[..., EFFECT, :] for part in (state.J, state.d))
     heard, number = square[..., OF_GYRO, :, :], count[..., OF_GYRO, :, :]
     # gyros that scatter: those of vibration, and wild ones less their line
     _, b, _ = _solved(J[..., WILDS, :].sum(axis=-4), d[..., WILDS, :].sum(axis=-4), PRIOR[WILDS])
@@ -289,11 +297,12 @@ def believe(
     began = (state.age[..., EFFECT, :] >= 0.0) & (both | (KIND != WILD))[..., None]
     prior = USUAL + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
     prior = prior + where((NAME == GYRO) & ~held[..., AXIS], rarer, 0.0)[..., None]
-    returns = (KIND == RETURN)[:, None]
-    prior = prior + where(returns, state.started[..., AXIS, :], 0.0)
+    for k, (kind, _) in enumerate(RETURNS):
+        prior = prior + where(np.equal(KIND, kind)[:, None], state.started[..., k, AXIS, :], 0.0)
     evidence, b, _ = _solved(joint_J, joint_d, PRIOR)
     misfit = (square - (joint_d * b).sum(axis=-3)) / larger(count, 1.0)
-    misfit = where(returns, misfit[..., AXIS, :], misfit)  # of a new fault of the attitude: no better
+    for kind, channel in RETURNS:  # no better than a new fault
+        misfit = where(np.equal(KIND, kind)[:, None], misfit[..., TESTS[channel], :][..., AXIS, :], misfit)
     doubt = _of_the_best(misfit, where(began, evidence + by_scatter + prior, LOWEST))  # (..., axes)
     of_modes = doubt[..., None, AXIS, None]
     evidence, b, covariance = _solved(joint_J / of_modes, joint_d / of_modes, PRIOR)
@@ -358,7 +367,8 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     found: list[Array] = []
     expected: list[Array] = []
     for channel, modes in enumerate(TESTS):
-        J, d = (part[..., channel, :, :, modes, :].sum(axis=-3) for part in (state.J, state.d))
+        raw = state.doubt[..., channel, None, :, :]
+        J, d = (part[..., channel, :, :, modes, :].sum(axis=-3) * raw for part in (state.J, state.d))
         _, b, covariance = _solved(J, d, PRIOR[modes])
         began = 1.0 * (state.age[..., modes, :] >= 0.0)
         found.append((began * (d * b).sum(axis=-3)) @ rings)

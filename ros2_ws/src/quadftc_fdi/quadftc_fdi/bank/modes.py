@@ -22,8 +22,8 @@ from quadftc_fdi.bank.noise import LONGER
 from quadftc_model.arrays import Scalar, Vector, column, exp
 from quadftc_model.rotations import wrap
 
-# rows of the kinds; the first six have an effect of their own
-ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, JUMP, LAG, STEADY, WILD = range(10)
+# rows of the kinds; the first seven have an effect of their own
+ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, JUMP, LAG, STEADY, WILD = range(11)
 
 
 class Kind(NamedTuple):
@@ -54,15 +54,40 @@ KINDS = (
     Kind("attitude", False, ATTITUDE_SIZE, ATTITUDE_SLOPE, EVENTS),  # of a fault before it, which is over
     Kind("attitude", True, LONGER, NONE, FAULTS),
     Kind("accelerometer", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),  # as the tilt that it shows
+    Kind("gyro", False, GYRO_SIZE, GYRO_SIZE, EVENTS),  # of a fault before it, which is over
     Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
     Kind("attitude", False, LAGS, NONE, EVENTS),
     Kind("gyro", True, GYRO_SIZE, NONE, FAULTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
-CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, ATTITUDE, LATE, GYRO, GYRO)  # whose effect each kind has
-NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, FELT, JUMP, LAG, GYRO, GYRO)  # what each kind says
+CHANGES = (
+    ATTITUDE,
+    GYRO,
+    PUSH,
+    RETURN,
+    LATE,
+    FELT,
+    GYRO_RETURN,
+    ATTITUDE,
+    LATE,
+    GYRO,
+    GYRO,
+)  # whose effect each kind has
+NAMES = (
+    ATTITUDE,
+    GYRO,
+    PUSH,
+    RETURN,
+    ATTITUDE,
+    FELT,
+    GYRO_RETURN,
+    JUMP,
+    LAG,
+    GYRO,
+    GYRO,
+)  # what each kind says
 MODES = 3 * len(KINDS)
-EFFECTS = 18  # modes with an effect of their own; the other kinds share one
+EFFECTS = 21  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
 NAME = np.array(NAMES)[KIND]

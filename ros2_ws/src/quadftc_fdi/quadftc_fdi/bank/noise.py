@@ -5,7 +5,10 @@ y a variance of 2 R, and a variance of 6 R to its change from sample to sample. 
 acceleration of variance D adds D lag², a wandering error W lag:
 
     gyro against torque:     var y = 2 R + D lag²
-    attitude against gyro:   var y = 2 R + W lag
+    attitude against gyro:   var y = 2 R / n + 2/3 W lag
+
+The second y is between means of n readings, over one lag and the next: in single ones the noise would hide
+what wanders.
 
 A filter in the gyro smooths its noise. Of noise whose neighbours correlate by rho, changes from sample to
 sample have a variance of 6 R (1 - 4/3 rho + rho²/3) only. R is then seen over a short lag, and what it weighs
@@ -70,7 +73,7 @@ class Variogram(NamedTuple):
     """Mean squares of how far readings move apart."""
 
     near: Vector  # from sample to sample; of the gyro the change of that
-    far: Vector  # over the longer lag
+    far: Vector  # over the longer lag; of the attitude those of its means
     lag: Vector  # mean of those lags; of the gyro squared [s, s²]
     time: Vector  # of learning [s]
     drift: Vector  # how fast they move apart in the mean [1/s]
@@ -98,6 +101,10 @@ class Learning(NamedTuple):
     age: Scalar  # of that anchor [s]
     q_xyzw: Quaternion  # attitude at its anchor, turned with the gyro since
     older: Scalar  # age of that anchor [s]
+    apart: Vector  # sum of how far readings since are from that [rad]
+    number: Scalar  # of those readings
+    before: Vector  # from the mean of those over the lag before to that anchor [rad]
+    few: Scalar  # 1 over how many those were
 
 
 def start_learning(q_xyzw: Quaternion, gyro: Vector) -> Learning:
@@ -108,7 +115,8 @@ def start_learning(q_xyzw: Quaternion, gyro: Vector) -> Learning:
     by_gyro = Variogram(2.0 * still, 2.0 * still, zeros + LONGER, zeros, zeros)
     none, near = zeros[..., 0], by_torque.near
     bend = Bend(near, zeros, zeros, none)
-    return Learning(by_torque, by_gyro, near, bend, zeros, gyro, zeros, none, q_xyzw, none)
+    begun = none, zeros, none, zeros, none + 1.0
+    return Learning(by_torque, by_gyro, near, bend, zeros, gyro, zeros, none, q_xyzw, *begun)
 
 
 def learn(
@@ -138,7 +146,10 @@ def learn(
     apart = rotation_between(turn(last_q, turning), q_xyzw) - state.attitude.drift * step
     both = good_gyro & good_attitude
     far = gyro - state.rate - turned, column(age), full & (age < 2.0 * LONG)
-    farther = rotation_between(at_anchor, q_xyzw), column(older), fuller & (older < 2.0 * LONGER)
+    angle, there = rotation_between(at_anchor, q_xyzw), 1.0 * any_of(good_attitude)[..., 0]
+    total, count = state.apart + column(there) * angle, state.number + there
+    mean = total / column(larger(count, 1.0))
+    farther = mean + state.before, column(older), fuller & (older < 2.0 * LONGER)
     return Learning(
         _learned(state.gyro, moved - state.moved, *far, good_gyro, 2, LOOSE, step),
         _learned(state.attitude, apart, *farther, both, 1, TIGHT, step),
@@ -150,6 +161,10 @@ def learn(
         where(full, 0.0, age),
         where(column(fuller), q_xyzw, at_anchor),
         where(fuller, 0.0, older),
+        where(column(fuller), 0.0, total),
+        where(fuller, 0.0, count),
+        where(column(fuller), angle - mean, state.before),
+        where(fuller, 1.0 / larger(count, 1.0), state.few),
     )
 
 
@@ -201,8 +216,9 @@ def noise_of(state: Learning) -> Noise:
     white, still = louder(state) * total * (1.0 + rho) / (1.0 - rho), larger(still, LEAST_ATTITUDE**2)
     unknown = larger((gyro.far - 2.0 * total) / gyro.lag, LEAST_UNKNOWN**2)
     # two sigma of a mean of squares
-    doubt = 2.0 * (2.0 * still) * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
-    wander = larger((attitude.far - 2.0 * still - doubt) / attitude.lag, LEAST_WANDER**2)
+    of_mean = 2.0 * still * column(state.few)
+    doubt = 2.0 * of_mean * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
+    wander = larger(3.0 / 2.0 * (attitude.far - of_mean - doubt) / attitude.lag, LEAST_WANDER**2)
     return Noise(white, unknown, still, wander)
 
 

@@ -1,4 +1,4 @@
-"""`bank`: one model of the motion, one table of modes, Bayes for the rest. On trial: docs/bank.md.
+"""`bank`: one model of the motion, one table of modes, Bayes for the rest: docs/bank.md.
 
 It judges attitude and gyro; accelerometer and rotors are judged beside it (`bank.translation`).
 """
@@ -152,7 +152,7 @@ class BankObserver(FlightLaw):
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
         bank = inference.disregard(bank, *stuck)
         # believe
-        failing = stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude, state.force)])
+        failing = _failing(state)
         held = speaks[0], speaks[0] | (tilt is not None and tilt.used)
         posterior = inference.believe(bank, *held, inputs.driven, failing, 2.0 * log(1.0 - self.level))
         posterior, asked = translation.ask_position(beside, bank, posterior)
@@ -186,8 +186,9 @@ class BankObserver(FlightLaw):
         # learn
         turned = turn(state.q_xyzw, 0.5 * (read + state.rate) * column(dt))
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
-        moves = read, state.rate, known, imu.q_xyzw, state.q_xyzw
-        learning = noise.learn(state.learning, *moves, *well, good_gyro, dt)
+        learning = noise.learn(
+            state.learning, read, state.rate, known, imu.q_xyzw, state.q_xyzw, *well, good_gyro, dt
+        )
         after = State(
             motion=believed,
             learning=learning,
@@ -231,7 +232,7 @@ class BankObserver(FlightLaw):
         """
         good_gyro, good_attitude = good
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
-        bank = inference.open_slots(bank, state.worth, dt)
+        bank = inference.open_slots(bank, state.worth, _failing(state), dt)
         expected = inference.of_gyro(bank, moved.rate, modes.pattern(modes.GYRO))
         moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
         bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
@@ -345,7 +346,7 @@ class BankObserver(FlightLaw):
         few, kind, name = 1.0 - self.level, modes.KIND, modes.NAME
         last = ((name == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven
         stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
-        twice = last | stays | (kind == modes.RETURN) | (kind == modes.WILD)
+        twice = last | stays | (kind == modes.RETURN) | (kind == modes.GYRO_RETURN) | (kind == modes.WILD)
         least = where(twice, few * few, where(modes.IS_FAULT, few, few**3))
         # a jump of an attitude that repeats the gyro is its estimator's
         takes = ((name != modes.ATTITUDE) & (kind != modes.RETURN)) | (not self.attitude_from_gyro)
@@ -403,6 +404,10 @@ class BankObserver(FlightLaw):
             where(declared, kind, 0).astype(xp.uint8),
             ambiguous,
         )
+
+
+def _failing(state: State) -> Flag:
+    return stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude, state.force)])
 
 
 def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
