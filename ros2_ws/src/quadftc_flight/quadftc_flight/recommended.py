@@ -32,8 +32,8 @@ trajectories:
 wind:
   - {{kind: dryden, wind_speed: 3, airspeed: 2, height: 6}}
 schemes:
-  isolating:
-    observer: isolating
+  bank:
+    observer: bank
     disturbance_observer: exosystem
     controller: ismc
     position_controller: geometric
@@ -43,7 +43,7 @@ LEVEL = f"""
 description: Level on a test stand
 vehicle: qball_x4
 schemes:
-  isolating: {{observer: isolating, disturbance_observer: exosystem, controller: ismc}}
+  bank: {{observer: bank, disturbance_observer: exosystem, controller: ismc}}
 """
 
 
