@@ -89,6 +89,16 @@ def test_a_fault_that_has_not_been_found_teaches_little():
         assert np.all(now < 1.5 * was), name
 
 
+def test_spikes_of_a_gyro_teach_little():
+    clean = rows_of(readings(0.004, 0.003, 0.5, 0.1 * DEG, 0.5 * DEG), (slice(None), 0))
+    spikes = 2.0 * (np.random.default_rng(3).random(clean.gyro.shape) < 0.02)
+    flown = [
+        fly_arrays(Learner(), each, 0.004)[0] for each in (clean, clean._replace(gyro=clean.gyro + spikes))
+    ]
+    usual, spiky = (np.sqrt(state[0].gyro.near) for state in flown)
+    assert np.all(spiky < 3.0 * usual)
+
+
 def test_noise_that_a_filter_has_smoothed_counts_as_long_as_it_lasts():
     seen, rng, keep = readings(0.001, 0.0, 0.5, 0.1 * DEG, 0.5 * DEG), np.random.default_rng(2), 0.8
     noise_of = 0.003 * rng.standard_normal(seen.gyro.shape)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from in_c import fly_arrays
 
+from quadftc_fdi.bank import readings
 from quadftc_fdi.fault_observer import is_usable_estimate
 from quadftc_fdi.fault_observers.bank import BankObserver
 from quadftc_model.arrays import rows_of
@@ -313,6 +314,16 @@ def test_the_rate_that_is_flown_is_good_without_a_gyro_or_an_attitude(sensor):
     assert corrected.rate_valid.all()
     assert corrected.attitude_valid.all()
     assert np.max(abs(corrected.body_rate - hovering(3, (0.0, 6.0, 0.0)).imu.body_rate)[FIRST:]) < 0.6
+
+
+def test_readings_without_noise_that_come_to_rest_are_not_stuck():
+    time = DT * np.arange(4000)[:, None]
+    swings = np.sin(3.0 * time) * np.exp(-np.maximum(time - 2.0, 0.0) / 0.3) * np.ones(3)
+    state, usual = readings.start_readings(swings[0]), np.full(3, np.mean(np.diff(swings, axis=0) ** 2))
+    for each in swings[1:]:
+        state = readings.take_reading(state, each, np.True_, usual, DT)
+        assert not readings.is_stuck(state).any()
+    assert abs(np.diff(swings, axis=0)[-1]).max() < 1e-12
 
 
 def test_a_constant_that_dithers_below_the_noise_is_stuck():

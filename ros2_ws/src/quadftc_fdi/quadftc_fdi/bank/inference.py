@@ -214,9 +214,8 @@ def _returning(part: Array, best: list[Array]) -> Array:
 def disregard(state: Bank, attitude: Mask, gyro: Mask) -> Bank:
     """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size."""
     none = namespace(gyro).zeros_like(gyro)
-    stuck = namespace(gyro).concatenate(
-        [attitude, gyro, none, none, attitude, none, none], axis=-1
-    )  # as kinds are
+    as_kinds = [attitude, gyro, none, none, attitude, none, none]
+    stuck = namespace(gyro).concatenate(as_kinds, axis=-1)
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 
 

@@ -60,32 +60,9 @@ KINDS = (
     Kind("gyro", True, GYRO_SIZE, NONE, FAULTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
-CHANGES = (
-    ATTITUDE,
-    GYRO,
-    PUSH,
-    RETURN,
-    LATE,
-    FELT,
-    GYRO_RETURN,
-    ATTITUDE,
-    LATE,
-    GYRO,
-    GYRO,
-)  # whose effect each kind has
-NAMES = (
-    ATTITUDE,
-    GYRO,
-    PUSH,
-    RETURN,
-    ATTITUDE,
-    FELT,
-    GYRO_RETURN,
-    JUMP,
-    LAG,
-    GYRO,
-    GYRO,
-)  # what each kind says
+# whose effect each kind has, and what each says
+CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, ATTITUDE, LATE, GYRO, GYRO)
+NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, FELT, GYRO_RETURN, JUMP, LAG, GYRO, GYRO)
 MODES = 3 * len(KINDS)
 EFFECTS = 21  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))
