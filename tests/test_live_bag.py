@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import signal
 import subprocess
@@ -252,11 +253,15 @@ def test_recorded_flight_is_played_in_a_browser(bag):
     from selenium.webdriver.support.wait import WebDriverWait
 
     command = [sys.executable, "-c", RUN, "--bag", str(bag), "--no-browser", "--port", "0", "--speed", "0.5"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    lines = iter(process.stderr.readline, "")
-    address = next((found[1] for line in lines if (found := re.match(r"page: +(http\S+)", line))), None)
-    assert address is not None
-    with start_browser("THE PAGE OF A RECORDED FLIGHT", "--enable-unsafe-swiftshader") as browser:
+    with (
+        start_browser("THE PAGE OF A RECORDED FLIGHT", "--enable-unsafe-swiftshader") as browser,
+        subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process,
+        contextlib.ExitStack() as ends,
+    ):
+        ends.callback(process.kill)
+        lines = iter(process.stderr.readline, "")
+        address = next((found[1] for line in lines if (found := re.match(r"page: +(http\S+)", line))), None)
+        assert address is not None
         waits = WebDriverWait(browser, PATIENCE)
 
         def await_one(selector: str):
@@ -286,6 +291,5 @@ def test_recorded_flight_is_played_in_a_browser(bag):
         waits.until(lambda _: len(browser.execute_script(drawn)) == 1, "what came later is gone")
         assert browser.find_elements("css selector", "[data-fault], [data-setpoint]") == []
         assert [each for each in browser.get_log("browser") if each["level"] == "SEVERE"] == []
-    process.send_signal(signal.SIGINT)
-    assert process.wait(PATIENCE) == 0
-    process.communicate()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
