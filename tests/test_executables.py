@@ -19,7 +19,7 @@ from quadftc_ros.topics import GRAPHS, NODES
 END = 30.0  # s; for a process to end on its own
 # node -> a parameter that can be changed in flight, a good value, a bad one, and a word of the refusal
 CHANGES = {
-    "fault_observer": ("isolating.gyro_bias", 0.02, -1.0, "gyro_bias"),
+    "fault_observer": ("bank.level", 0.98, 2.0, "level"),
     "disturbance_observer": ("exosystem.bandwidth", 12.0, -1.0, "bandwidth"),
     "controller": ("ismc.k_c2", [7.0, 7.0, 5.0], [-1.0, 7.0, 5.0], "k_c2"),
 }
@@ -114,14 +114,14 @@ def test_wrong_parameter_ends_the_node_with_one_line(node: str, setting: str, wo
 
 
 def test_unknown_parameter_is_warned_of_and_the_node_runs(bench: NodeBench):
-    setting = "isolating.gyro_bais:=0.2"
+    setting = "bank.levle:=0.98"
     with running(*EXECUTABLES["fault_observer"], "--ros-args", "-p", setting) as process:
         bench.until(lambda: "/fault/estimate" in published_by(bench, "fault_observer"))
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=END)
     assert process.returncode == 0
-    assert "parameter 'isolating.gyro_bais' was given" in errors
-    assert "did you mean 'isolating.gyro_bias'?" in errors
+    assert "parameter 'bank.levle' was given" in errors
+    assert "did you mean 'bank.level'?" in errors
 
 
 def test_nodes_whose_laws_are_compiled_load_neither_jax_nor_scipy_and_compile_nothing():

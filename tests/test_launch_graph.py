@@ -287,7 +287,7 @@ def told(*arguments: object) -> str:
 
 def test_recommended_observer_flies_by_default_and_setpoints_are_live():
     words = told("--namespace", "drone1")
-    assert "flies: qball_x4, test stand; observer isolating, disturbance observer exosystem" in words
+    assert "flies: qball_x4, test stand; observer bank, disturbance observer exosystem" in words
     assert "scripts/quadftc set attitude roll=5deg --namespace drone1" in words
     assert "scripts/quadftc inject bias" in words
     assert "declares no faults" not in words
@@ -315,6 +315,7 @@ def test_on_board_there_is_neither_plant_nor_injector():
     assert "inject" not in words
     plan = GraphPlan({}, "realtime", onboard=True)
     assert {*plan.executables} == {"fault_observer", "controller", "disturbance_observer", "reference"}
+    assert plan.node_parameters("fault_observer")["bank.feels_gravity"] is False
 
 
 def test_on_board_a_real_imu_is_followed_and_recorded_by_its_usual_name(tmp_path: Path):

@@ -43,14 +43,14 @@ RAW_IMU = (
     "imu/data has no attitude: start the node quadftc_fdi attitude_estimator on the topic of the driver, "
     "with -r imu/data_raw:=TOPIC; it publishes imu/data"
 )
-NO_STATES = "declares no faults, it only estimates; isolating and supervised declare them"
+NO_STATES = "declares no faults, it only estimates; bank and isolating declare them"
 
 
 @dataclasses.dataclass(frozen=True)
 class ObserverParameters:
     """Parameters of the node besides those of the observer, which stand behind its name."""
 
-    observer: str = parameter("isolating", doc="name of the fault observer; may be changed in flight")
+    observer: str = parameter("bank", doc="name of the fault observer; may be changed in flight")
 
 
 class FaultObserverNode(GraphNode):

@@ -79,9 +79,9 @@ def felt_too(flight):
     return with_imu(flight, specific_force=felt(flight.imu.q_xyzw))
 
 
-def said_of(flight, vehicle=QBALL):
+def said_of(flight, vehicle=QBALL, **parameters):
     """What the observer says of its sensors, arrays (ROWS, ...)."""
-    estimate = fly_arrays(BankObserver(vehicle=vehicle), flight, DT)[1]
+    estimate = fly_arrays(BankObserver(vehicle=vehicle, **parameters), flight, DT)[1]
     assert np.all(is_usable_estimate(estimate))
     return {name: getattr(estimate.sensors, name) for name in (*SENSORS, "accelerometer")}
 
@@ -165,6 +165,25 @@ def test_gravity_holds_the_tilt_while_the_attitude_is_absent_and_the_gyro_drifts
         off.append(abs(apart[-100:, 0].mean()))
     assert off[0] < 0.5 * DEG
     assert off[1] > 2.0 * off[0], "by the gyro alone"
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_in_flight_drag_is_no_fault_of_the_accelerometer_but_silence_is(ends):
+    """Without a position: the accelerometer shows thrust and drag, whatever the tilt."""
+    unit, fast = np.array([1.0, -0.5, 0.0]), 2.0 * np.pi * TIME[:, None]
+    rate, still = 0.4 * np.pi * np.sin(fast) * unit, hovering()
+    torque = still.torque + QBALL.inertia * np.gradient(rate, DT, axis=0)
+    angles = euler_from_quaternion(still.imu.q_xyzw) + 0.2 * (1.0 - np.cos(fast)) * unit
+    drag = 1.5 * np.stack([np.sin(TIME), np.cos(TIME), 0.0 * TIME], axis=-1)
+    flight = with_imu(
+        still._replace(torque=torque),
+        q_xyzw=quaternion_from_euler(angles),
+        body_rate=still.imu.body_rate + rate,
+        specific_force=felt(np.tile([0.0, 0.0, 0.0, 1.0], (ROWS, 1))) + drag,
+        force_valid=~(ON & ends),
+    )
+    named = {("accelerometer", axis) for axis in range(3)} if ends else set()
+    assert alarms(said_of(flight, feels_gravity=False)) == (named, set())
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -382,7 +382,7 @@ def test_imu_without_attitude_is_told_what_to_do(lockstep_bench):
 
 
 def test_recommended_observer_is_the_default(bench):
-    assert bench.run(FaultObserverNode).get_parameter("observer").value == "isolating"
+    assert bench.run(FaultObserverNode).get_parameter("observer").value == "bank"
 
 
 def test_imu_is_read_best_effort_in_real_time(bench):

@@ -51,7 +51,7 @@ from quadftc_sim.rotor_fault import ROTOR
 SIGNS = ("attitude/reference", "torque/command", "fault/estimate")
 # node -> the parameter that names its part, the role in a scheme, and the node's default
 PARTS = {
-    "fault_observer": ("observer", "observer", "isolating"),
+    "fault_observer": ("observer", "observer", "bank"),
     "disturbance_observer": ("observer", "disturbance_observer", "exosystem"),
     "controller": ("controller", "controller", "ismc"),
 }

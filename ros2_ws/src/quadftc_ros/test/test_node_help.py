@@ -41,7 +41,7 @@ def test_help_has_usage_topics_and_parameters(told):
     lines = [line.split() for line in words.splitlines()]
     assert ["imu/data", "sensor_msgs/msg/Imu", "in"] in lines
     assert ["imu/corrected", "sensor_msgs/msg/Imu", "out"] in lines
-    assert ["observer", "isolating", "name", "of", "the", "fault"] in [line[:6] for line in lines]
+    assert ["observer", "bank", "name", "of", "the", "fault"] in [line[:6] for line in lines]
 
 
 def test_help_has_topics_that_are_not_of_the_table_and_bounds(told):

@@ -162,16 +162,21 @@ def judge_accelerometer(
     inputs: FaultObserverInputs,
     q_xyzw: Quaternion,
     doubtful: Mask,
+    knows: bool,
     dt: float,
 ) -> Translation:
-    """Judge the accelerometer at an attitude; ``doubtful``: that or the gyro is in doubt."""
+    """Judge the accelerometer at an attitude; ``doubtful``: that or the gyro is in doubt.
+
+    Unless it ``knows`` what it should feel it is stuck or absent, or healthy: in flight drag has any size.
+    """
     imu, monitor, flight = inputs.imu, state.accelerometer, state.flight
     force, there = imu.specific_force, stacked([imu.force_valid] * 3)
-    doubtful = doubtful | ~column(inputs.driven)
+    known = column(inputs.driven) & knows
+    doubtful = doubtful | ~known
     if flight is not None:
         flight = flight._replace(unsure=larger(flight.unsure, state.pushing))
     flight, off, unsure = free_flight.force_deviation(flight, monitor, vehicle, inputs, q_xyzw, dt)
-    noise, predicted = noise_of_force(state), unsure + UNTESTED * ~column(inputs.driven)
+    noise, predicted = noise_of_force(state), unsure + UNTESTED * ~known
     readings = state.readings._replace(held=state.readings.held + state.pushing)
     readings, verdict = reading_test.test_reading(readings, force, there, off**2, predicted, noise, 0.0, dt)
     seen = off, noise, readings.suspicion, there, verdict, doubtful, dt
@@ -181,6 +186,7 @@ def judge_accelerometer(
         flight, monitor, learned = free_flight.step_flight(
             flight, law, monitor, free_flight.motion_inputs(inputs), *seen
         )
+    learned = learned | (there & (not knows))  # time goes on
     readings = reading_test.learn_noise(readings, off**2, predicted, learned, LEAST**2, dt)
     return state._replace(readings=readings, accelerometer=monitor, flight=flight)
 

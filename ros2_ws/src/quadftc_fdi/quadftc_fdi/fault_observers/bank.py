@@ -92,7 +92,7 @@ class BankObserver(FlightLaw):
     level: float = parameter(0.99, low=0.5, high=1.0, doc="probability from which a fault is named")
     rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
-    feels_gravity: bool = parameter(True, doc="the accelerometer, without a position: as on a test stand")
+    feels_gravity: bool = parameter(True, doc="the accelerometer, without a position: on a test stand")
 
     def init(self, inputs: FaultObserverInputs) -> State:
         """Start at a sample."""
@@ -363,8 +363,9 @@ class BankObserver(FlightLaw):
         by_attitude = self._judge(state.attitude, state.angles_read, attitude, unsure & judged)
         by_gyro = self._judge(state.gyro, state.rates_read, gyro, unsure)
         doubtful = (by_attitude.onset_age >= 0.0) | (by_gyro.onset_age >= 0.0)
+        knows = self.feels_gravity or state.translation.flight is not None
         beside = translation.judge_accelerometer(
-            state.translation, self.vehicle, self.motion_law, inputs, flown.q_xyzw, doubtful, dt
+            state.translation, self.vehicle, self.motion_law, inputs, flown.q_xyzw, doubtful, knows, dt
         )
         by_accelerometer, rotors = translation.say(beside, state.force, imu.force_valid)
         corrected = imu._replace(

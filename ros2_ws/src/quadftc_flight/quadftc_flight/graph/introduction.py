@@ -29,7 +29,7 @@ def introduction(plan: GraphPlan) -> list[str]:
     kind = "on board" if plan.onboard else plan.plant.replace("_", " ")
     lines = [f"flies: {vehicle}, {kind}; {', '.join(parts)}"]
     if not fault_observers.get(observer).has_detector:
-        lines.append(f"note: observer {observer} declares no faults; isolating and supervised do (--scheme)")
+        lines.append(f"note: observer {observer} declares no faults; bank and isolating do (--scheme)")
     where = f" --namespace {plan.namespace.strip('/')}" if plan.namespace else ""
     guidance = "position_controller" if plan.plant == "free_flight" else "reference"
     if _value_of(plan, guidance, "source") == "topic":
