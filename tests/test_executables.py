@@ -114,14 +114,14 @@ def test_wrong_parameter_ends_the_node_with_one_line(node: str, setting: str, wo
 
 
 def test_unknown_parameter_is_warned_of_and_the_node_runs(bench: NodeBench):
-    setting = "bank.levle:=0.98"
+    setting = "bank.rotor_lagg:=0.02"
     with running(*EXECUTABLES["fault_observer"], "--ros-args", "-p", setting) as process:
         bench.until(lambda: "/fault/estimate" in published_by(bench, "fault_observer"))
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=END)
     assert process.returncode == 0
-    assert "parameter 'bank.levle' was given" in errors
-    assert "did you mean 'bank.level'?" in errors
+    assert "parameter 'bank.rotor_lagg' was given" in errors
+    assert "did you mean 'bank.rotor_lag'?" in errors
 
 
 def test_nodes_whose_laws_are_compiled_load_neither_jax_nor_scipy_and_compile_nothing():
