@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import functools
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -28,7 +29,10 @@ from quadftc_compile.text import Expression, Index, Indices, flat, variable
 from quadftc_model.arrays import AnyArray
 
 FEW = 4  # numbers of an array that is written number by number
+MANY = 1000  # numbers of an array that it costs much to copy
 LONGEST = 24  # operations in one statement
+PARTS = 16  # along an axis on which arrays are joined, up to which loops of it are written part by part
+CHEAP = {"add", "sub", "mul", "select_n"}  # done twice in less time than their numbers are kept and read
 
 HELPERS = """\
 static inline {real} larger({real} x, {real} y) {{ return x >= y || x != x ? x : y; }}
@@ -46,15 +50,26 @@ class Storage:
     name: str
     single: bool = False  # one variable, not an array
     separate: bool = False  # a variable for each number
+    fixed: bool = False  # nothing is written there while the function runs
+    behind: str = ""  # the array that it may point to
 
     def shifted(self, place: str) -> Storage:
         """Return the array that begins at a place of this one."""
         return Storage(f"({self.name} + {place})")
 
 
+class JoinedError(Exception):
+    """A loop goes over arrays that are joined, and has to be written part by part."""
+
+    def __init__(self, node: Node, variable: str) -> None:
+        super().__init__(variable)
+        self.node, self.variable = node, variable
+
+
 Statement = Callable[["Emitter", Node, Storage], None]
 STATEMENTS: dict[str, Statement] = {}  # operations that are not done number by number
-WHOLE: dict[str, Callable[[Emitter, Node, Sequence[Storage]], None]] = {}  # those with several results
+# those with several results, some of which go to places that are known
+WHOLE: dict[str, Callable[[Emitter, Node, Mapping[int, Storage]], None]] = {}
 ADDRESSED: set[str] = set()  # operations that read their operands as arrays that lie in one piece
 
 
@@ -84,26 +99,48 @@ class Plan:
         for node in reversed(graph.nodes):
             self._decide(node)
         self._shorten(graph)
-        self.last: dict[int, list[Node]] = self._find_last(
-            graph
-        )  # by node: what is read there for the last time
+        self.inlined -= {id(each) for each in graph.outputs if each.op not in VIEWS}
+        # by node: what is read there for the last time; ``over``: each number only for that at its place
+        self.last: dict[int, list[Node]] = collections.defaultdict(list)
+        self.over: dict[int, list[Node]] = collections.defaultdict(list)
+        self.ends: dict[int, tuple[Node, bool]] = {}  # the same of inputs
+        self.shown: set[int] = set()  # what outputs are views of, which read it after all else
+        self._find_last(graph)
 
-    def _find_last(self, graph: Graph) -> dict[int, list[Node]]:
-        """Return for each node that is kept which others nobody reads after it."""
-        reader: dict[int, tuple[Node, Node]] = {}  # of what is kept: itself, and the last that reads it
-        through: dict[int, list[Node]] = {}  # of what is inlined: what it reads
+    def takes_over(self, graph: Graph, given: Node, made: Node) -> bool:
+        """Whether an output can be written where an input is, one that is no other output."""
+        if id(given) in self.shown or any(each is given for each in graph.outputs if each is not made):
+            return False
+        if made is given or id(given) not in self.ends:
+            return True
+        last, in_place = self.ends[id(given)]
+        order = [id(each) for each in graph.nodes]
+        earlier = made.op in ELEMENTWISE and order.index(id(last)) < order.index(id(made))
+        return in_place if last is made else earlier
+
+    def _find_last(self, graph: Graph) -> None:
+        """Find for each node that is kept which others nobody reads after it."""
+        reader: dict[int, tuple[Node, Node, bool]] = {}  # of what is kept: itself, and the last that reads it
+        through: dict[int, dict[Node, bool]] = {}  # of what is inlined: what it reads, and if at its place
         for node in graph.nodes:
-            read = [kept for each in node.operands for kept in through.get(id(each), [each])]
+            by_number = node.op in ELEMENTWISE
+            read: dict[Node, bool] = {}
+            for operand in node.operands:
+                alike = node.op == "reshape" or (by_number and operand.shape == node.shape)
+                for kept, in_place in through.get(id(operand), {operand: True}).items():
+                    read[kept] = read.get(kept, True) and alike and in_place
             if id(node) in self.inlined or node.op == "result":
-                through[id(node)] = read if node.op != "result" else [node]
+                through[id(node)] = read if node.op != "result" else {node: True}
             else:
-                reader |= {id(each): (each, node) for each in read}
-        outputs = {id(kept) for each in graph.outputs for kept in through.get(id(each), [each])}
-        found: dict[int, list[Node]] = collections.defaultdict(list)
-        for each, last in reader.values():
-            if id(each) not in outputs and each.op != "input":  # those belong to who has made them
-                found[id(last)].append(each)
-        return found
+                reader |= {id(each): (each, node, in_place) for each, in_place in read.items()}
+        self.shown = {id(kept) for each in graph.outputs for kept in through.get(id(each), ())}
+        outputs = self.shown | {id(each) for each in graph.outputs}
+        for each, last, in_place in reader.values():
+            fits = in_place and each.dtype == last.dtype and each.size == last.size
+            if each.op == "input":  # those belong to who has made them
+                self.ends[id(each)] = last, fits
+            elif id(each) not in outputs:
+                (self.over if fits else self.last)[id(last)].append(each)
 
     def _decide(self, node: Node) -> None:
         """Decide on a node, those that read it being decided on."""
@@ -124,10 +161,11 @@ class Plan:
 
     def _is_inlined(self, node: Node, reads: float, looped: bool) -> bool:
         if node.op == "concatenate":
-            return not looped
+            return not looped or (node.size >= MANY and node.shape[node.params["dimension"]] <= PARTS)
         if node.op in VIEWS or node.op == "result":
             return True
-        return node.op in ELEMENTWISE and reads <= 1.0 + 1e-9
+        most = 2.0 if node.size >= MANY and node.op in CHEAP else 1.0
+        return node.op in ELEMENTWISE and reads <= most + 1e-9
 
     def _reads_of(self, node: Node, reads: float) -> Iterator[tuple[Node, float]]:
         """Yield how often each number of the operands is read, on average."""
@@ -150,6 +188,27 @@ class Plan:
             if id(node) in self.inlined and node.op in ELEMENTWISE and total > LONGEST:
                 self.inlined.discard(id(node))
             length[id(node)] = total if id(node) in self.inlined else 0
+
+
+def _taken_over(result: Node, plan: Plan) -> list[Node]:
+    """Return what a branch can write a result over: an operand that nobody reads any more."""
+    (cond,) = result.operands
+    if cond.op != "cond":
+        return []
+    made, graphs, given = result.params["index"], cond.params["graphs"], cond.operands[1:]
+    return [
+        each
+        for k, each in enumerate(given)
+        if each in plan.last[id(cond)]
+        and each.shape == result.shape
+        and given.count(each) == 1
+        and all(Plan(graph).takes_over(graph, graph.inputs[k], graph.outputs[made]) for graph in graphs)
+    ]
+
+
+def _place_along(axis: int, place: int, at: Indices) -> list[Index]:
+    """Return indices with one that is known along an axis."""
+    return [Index(place) if k == axis else index for k, index in enumerate(at)]
 
 
 def keeps_axes(node: Node) -> bool:
@@ -184,24 +243,35 @@ class Emitter:
         self._sources: dict[str, None] = {}
         self._unread: dict[str, int] = {}  # variables that nothing reads, and the lines that declare them
 
-    def emit(self, graph: Graph, inputs: Sequence[Storage], outputs: Sequence[Storage]) -> None:
-        """Write the statements of a graph; inputs and outputs do not overlap."""
+    def emit(self, graph: Graph, inputs: Sequence[Storage], outputs: Sequence[Storage | None]) -> None:
+        """Write the statements of a graph; inputs and outputs do not overlap. None: nobody wants it."""
         outer, self._plan = self._plan, Plan(graph)
         self._storage |= {id(node): where for node, where in zip(graph.inputs, inputs, strict=True)}
         targets: dict[int, Storage] = {}
         for node, where in zip(graph.outputs, outputs, strict=True):
-            if node.op not in ("input", "constant", "result", *VIEWS) and id(node) not in targets:
+            if where and node.op not in ("input", "constant", *VIEWS) and id(node) not in targets:
                 targets[id(node)] = where  # computed right where it goes
-                self._plan.inlined.discard(id(node))
+                if where not in inputs:
+                    self._begin_there(node, where, targets)
         for node in graph.nodes:
             if id(node) not in self._plan.inlined and node.op != "result":
-                self._write(node, targets.get(id(node)))
-                for read in self._plan.last.get(id(node), ()):
-                    self._release(read)
+                self._release(self._plan.over[id(node)], targets)  # may be overwritten number by number
+                self._write_all(node, targets)
+                self._release(self._plan.last[id(node)], targets)
         for node, where in zip(graph.outputs, outputs, strict=True):
-            if targets.get(id(node)) is not where and node.size:
+            there = targets.get(id(node)) or self._storage.get(id(node))
+            if where and there != where and node.size:
                 self.copy(node, where)
         self._plan = outer
+
+    def _begin_there(self, node: Node, where: Storage, targets: dict[int, Storage]) -> None:
+        """Have what a node is made of, number by number, computed where the node goes."""
+        for each in self._plan.over[id(node)] if node.op != "result" else _taken_over(node, self._plan):
+            known = id(each) in targets or each.op in ("result", "input")
+            if each.size >= MANY and each.dtype.kind == "f" and not known:
+                targets[id(each)] = where
+                return self._begin_there(each, where, targets)
+        return None
 
     def mark_unread(self) -> None:
         """Tell compilers of variables that nothing reads, so that they do not warn; call it at the end."""
@@ -253,6 +323,13 @@ class Emitter:
             kind = "int64_t" if self.real == "double" else "int32_t"
         return Storage(self._take(kind, max(size, 1)))
 
+    def point(self, node: Node, storage: Storage) -> Storage:
+        """Declare a pointer to where the numbers of a node are: this array, or what stays as it is."""
+        pointer = Storage(self.name("p"), behind=storage.name)
+        self.line(f"const {self.type_of(node.dtype)} *{pointer.name};")
+        self.keep(node, pointer)
+        return pointer
+
     def _take(self, kind: str, size: int) -> str:
         """Return the name of an array for results; one that nobody reads any more is used again."""
         free = [(n, k) for k, (type_, n, used) in enumerate(self._work) if type_ == kind and not used]
@@ -267,12 +344,13 @@ class Emitter:
         self._work[place] = (kind, n, True)
         return f"w{place}"
 
-    def _release(self, node: Node) -> None:
-        """Give the array of a result back that nobody reads any more."""
-        storage = self._storage.get(id(node))
-        if storage is not None and re.fullmatch(r"w\d+", storage.name):
-            kind, size, _ = self._work[int(storage.name[1:])]
-            self._work[int(storage.name[1:])] = (kind, size, False)
+    def _release(self, nodes: Iterable[Node], targets: Mapping[int, Storage]) -> None:
+        """Give the arrays of results back that nobody reads any more; those of ``targets`` are others'."""
+        for storage in (self._storage.get(id(node)) for node in nodes if id(node) not in targets):
+            name = "" if storage is None else storage.behind or storage.name
+            if re.fullmatch(r"w\d+", name):
+                kind, size, _ = self._work[int(name[1:])]
+                self._work[int(name[1:])] = (kind, size, False)
 
     @property
     def arrays(self) -> list[str]:
@@ -290,18 +368,28 @@ class Emitter:
         self._storage[id(node)] = storage
         self._noted.append(node)
 
-    def _write(self, node: Node, target: Storage | None) -> None:
-        """Write the statements that compute a node."""
-        before, self._sources = len(self.lines), {}
+    def _write_all(self, node: Node, targets: Mapping[int, Storage]) -> None:
+        """Write a node, after a joined array that it cannot read part by part, if there is one."""
+        lines, depth, unread = len(self.lines), self._depth, dict(self._unread)
+        try:
+            self._write(node, targets)
+        except JoinedError as joined:
+            del self.lines[lines:]
+            self._depth, self._unread = depth, unread
+            self._plan.inlined.discard(id(joined.node))
+            self._write_all(joined.node, targets)
+            self._write_all(node, targets)
+
+    def _write(self, node: Node, targets: Mapping[int, Storage]) -> None:
+        """Write the statements that compute a node; ``targets`` say where some go."""
+        before, target, self._sources = len(self.lines), targets.get(id(node)), {}
         if node.source is not None:
             self._sources[str(node.source)] = None
         if node.op in WHOLE:
-            nodes: list[Node] = node.params["results"]
-            results = [self.declare(each.shape, each.dtype) for each in nodes]
-            self._storage |= {id(each): where for each, where in zip(nodes, results, strict=True)}
-            WHOLE[node.op](self, node, results)
-            for where in results:
-                self.line(f"(void){where.name};")
+            WHOLE[node.op](self, node, targets)
+            for each in node.params["results"]:
+                if id(each) not in targets:
+                    self.line(f"(void){self._storage[id(each)].name};")
         elif node.size:
             by_number = node.op in ELEMENTWISE or (node.op in VIEWS and node.op != "concatenate")
             if target is None and node.size == 1 and by_number:
@@ -370,8 +458,19 @@ class Emitter:
         outer, names = self._loops, [self.name("i") for _ in shape]
         self._loops = Loops([(name, n) for name, n in zip(names, shape, strict=True) if n != 1])
         at = [variable(name) if n != 1 else Index() for name, n in zip(names, shape, strict=True)]
-        self._nest(statement(at))
-        self._loops = outer
+        try:
+            self._nest(statement(at))
+        except JoinedError as joined:
+            if joined.variable not in names:
+                raise
+            axis = names.index(joined.variable)
+            for k in range(shape[axis]):
+                part = functools.partial(_place_along, axis, k)
+                self.each(
+                    [*shape[:axis], 1, *shape[axis + 1 :]], lambda at, part=part: statement(part(at)), True
+                )
+        finally:
+            self._loops = outer
 
     def _nest(self, content: str) -> None:
         """Write loops around a statement; axes that lie behind each other everywhere become one."""
@@ -481,7 +580,8 @@ class Emitter:
 
     def _part(self, node: Node, at: Indices) -> Expression:
         axis = node.params["dimension"]
-        assert not at[axis].terms, "a joined array is read in a loop, and has no place"
+        for name, _ in at[axis].terms:
+            raise JoinedError(node, name)
         rest = at[axis].constant
         for part in node.operands:
             if rest < part.shape[axis]:

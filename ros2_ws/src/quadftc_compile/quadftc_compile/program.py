@@ -276,7 +276,8 @@ class _Writer:
             f"numbers->{member(path_members(path))}" if path in self._used else "0" for path in self._places
         )
         emitter = emit.Emitter(self._real, self._tables)
-        emitter.emit(graph, _storages((*of_numbers, *read), graph.inputs), _storages(written, graph.outputs))
+        inputs = _storages((*of_numbers, *read), graph.inputs, fixed=True)
+        emitter.emit(graph, inputs, _storages(written, graph.outputs))
         emitter.mark_unread()
         empty = [
             f"    {n}->nothing = 0;"
@@ -348,9 +349,9 @@ class _Writer:
         return C_TYPES[layout[1]] if layout[0] == "array" else self._structs.name_of(layout, name)
 
 
-def _storages(texts: Iterable[str], nodes: Sequence[Node]) -> list[Storage]:
+def _storages(texts: Iterable[str], nodes: Sequence[Node], fixed: bool = False) -> list[Storage]:
     """Return where the inputs or outputs of a graph are kept."""
-    return [Storage(text, node.shape == ()) for text, node in zip(texts, nodes, strict=True)]
+    return [Storage(text, node.shape == (), fixed=fixed) for text, node in zip(texts, nodes, strict=True)]
 
 
 def _quiet(parameters: Sequence[str], body: str) -> list[str]:

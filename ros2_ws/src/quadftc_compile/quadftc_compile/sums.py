@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
-from quadftc_compile.emit import FEW, Emitter, Storage, statement
+from quadftc_compile.emit import FEW, Emitter, JoinedError, Storage, statement
 from quadftc_compile.graph import VIEWS, Node
 from quadftc_compile.operators import BITS, combine
 from quadftc_compile.text import Expression, Index, Indices, binary, variable
@@ -107,44 +107,81 @@ def _fold_flags(
 
 
 def _fold_in_loops(
-    emitter: Emitter, node: Node, storage: Storage, op: str, count: Sequence[int], term: Term
+    emitter: Emitter,
+    node: Node,
+    storage: Storage,
+    op: str,
+    count: Sequence[int],
+    term: Term,
+    around: Mapping[int, Index] | None = None,
 ) -> None:
     """Write a reduction as loops over its terms, around one over the last axis of its result.
 
-    So the numbers of a row lie side by side, and are in reach while their terms come.
+    So the numbers of a row lie side by side, and are in reach while their terms come. ``around`` are places
+    along all other axes: of a loop, or one that is known.
     """
     shape = node.shape
     long = [k for k, n in enumerate(shape) if n != 1]
-    row = long[-1] if long else -1
-    # loops around: all axes of the result but the last
-    around, names = {k: emitter.name("i") for k in long[:-1]}, [emitter.name("j") for _ in count]
-    for k, name in around.items():
+    if around is None:
+        around = {k: variable(emitter.name("i")) for k in long[:-1]}
+    place = [around.get(k, Index()) for k in range(len(shape))]
+    try:
+        term(place, [Index() for _ in count])
+    except JoinedError as joined:
+        axis = next((k for k, index in around.items() if index.factor_of(joined.variable)), None)
+        if axis is None:
+            raise
+        for k in range(shape[axis]):
+            _fold_in_loops(emitter, node, storage, op, count, term, {**around, axis: Index(k)})
+        return
+    loops = {k: name for k, index in around.items() for name, _ in index.terms}
+    for k, name in loops.items():
         emitter.open(f"for (int {name} = 0; {name} < {shape[k]}; {name}++)")
-    place = [variable(around[k]) if k in around else Index() for k in range(len(shape))]
-    one_row = [shape[row] if k == row else 1 for k in range(len(shape))]
-    first = [Index() for _ in count]
+    _fold_row(emitter, node, storage, op, count, term, place, long[-1] if long else -1)
+    for _ in loops:
+        emitter.close()
+
+
+def _fold_row(
+    emitter: Emitter,
+    node: Node,
+    storage: Storage,
+    op: str,
+    count: Sequence[int],
+    term: Term,
+    place: Indices,
+    row: int,
+) -> None:
+    """Write reductions for all numbers along an axis of the result, ``row``, at a place along the others."""
+    names = [emitter.name("j") for _ in count]
+    first, inner = [Index() for _ in count], [variable(name) for name in names]
+    shape = [n if k == row else 1 for k, n in enumerate(node.shape)]
+    # a few sums are variables while their terms come, so that none waits for memory
+    few = math.prod(shape) <= FEW
+    sums = Node("input", (), {}, tuple(shape), node.dtype) if few else node
+    if few:
+        emitter.keep(sums, emitter.declare(shape, node.dtype, looped=False))
 
     def at_row(at: Indices) -> list[Index]:
-        return [at[k] if k == row else place[k] for k in range(len(shape))]
+        return [at[k] if k == row else index for k, index in enumerate(place)]
 
-    def start(at: Indices) -> str:
-        return emitter.put(storage, shape, at_row(at), term(at_row(at), first))
+    def number(at: Indices) -> Expression:
+        return emitter.at(sums, at if few else at_row(at))
 
     def more(at: Indices) -> str:
-        so_far = Expression(emitter.place(storage, shape, at_row(at)))
-        total = combine(op, node.dtype, so_far, term(at_row(at), [variable(name) for name in names]))
-        return emitter.put(storage, shape, at_row(at), total)
+        return f"{number(at).text} = {combine(op, node.dtype, number(at), term(at_row(at), inner)).text};"
 
     # the first term begins the sum, the others are added in the order of their indices
-    loop = one_row[row] > FEW if long else False
-    emitter.each(one_row, start, loop=loop)
-    for number, (name, n) in enumerate(zip(names, count, strict=True)):
-        emitter.open(f"for (int {name} = {int(len(names) == 1 and number == 0)}; {name} < {n}; {name}++)")
+    emitter.each(shape, lambda at: f"{number(at).text} = {term(at_row(at), first).text};")
+    for k, name in enumerate(names):
+        emitter.open(f"for (int {name} = {int(len(names) == 1)}; {name} < {count[k]}; {name}++)")
     if len(names) > 1:
         emitter.line(f"if ({' + '.join(names)} == 0) continue;")
-    emitter.each(one_row, more, loop=loop)
-    for _ in [*names, *around]:
+    emitter.each(shape, more)
+    for _ in names:
         emitter.close()
+    if few:
+        emitter.each(shape, lambda at: emitter.put(storage, node.shape, at_row(at), number(at)))
 
 
 @statement(*CUMULATIVE)

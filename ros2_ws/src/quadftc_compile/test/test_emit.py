@@ -19,6 +19,7 @@ A, B = RANDOM.normal(size=(4, 6)), RANDOM.normal(size=(4, 6))
 VECTOR = RANDOM.normal(size=3)
 ODD = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 1e300, 2.5])
 INDEX = np.array([2, 0, 3])
+LARGE = RANDOM.normal(size=(3, 400))  # one that is not copied
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +36,25 @@ def _scan(x):
 
 def _scan_back(x):
     return lax.scan(lambda carry, row: (carry + row[1], carry), 0.0, x, reverse=True)
+
+
+def _large_branches(x, flag):
+    def more(a):
+        size = jnp.sqrt(jnp.abs(a))  # lies where the result goes, and is read before
+        return size + size.sum()
+
+    y = lax.cond(flag, more, lambda a: a, x)  # handed on where it is
+    z = y * 2.0 - y.sum()
+    w = lax.cond(flag, lambda a: jnp.where(a > 0.0, 0.0, a) + y.sum(), lambda a: a, z)  # written over
+    v = lax.cond(flag, lambda a: a[::-1], lambda a: a, z + 1.0)  # not to be written over
+    return w, w.max(), v, y[0, 0], z.sum()
+
+
+def _large_joined(x, y):
+    joined = jnp.stack([x, jnp.sin(y), x * y, 2.0 * y[::-1]])
+    chosen = jnp.where(x[0] > 0.0, joined, 0.0)
+    sums = jnp.einsum("pij,j->pi", joined, y[0])
+    return chosen - 0.5, chosen[2], sums, joined.sum(axis=0), joined.max(), jnp.cumsum(joined, axis=0)
 
 
 CASES = {
@@ -165,6 +185,9 @@ CASES = {
         lambda x: lax.cond(x[0, 0] <= 0.0, lambda: (x.T, x.sum()), lambda: (2.0 * x.T, 1.0)),
         (A,),
     ),
+    "branches of large arrays": (_large_branches, (LARGE, np.array(True))),
+    "other branches of large arrays": (_large_branches, (LARGE, np.array(False))),
+    "large arrays joined": (_large_joined, (LARGE, RANDOM.normal(size=LARGE.shape))),
     "switch": (lambda k: (lax.switch(k[0], [lambda: 1.0, lambda: 2.0, lambda: 3.0]),), (INDEX,)),
     "mapped": (
         lambda x, y: (jax.vmap(lambda a, b: jnp.outer(a, b).sum() + jnp.linalg.norm(a))(x, y),),
