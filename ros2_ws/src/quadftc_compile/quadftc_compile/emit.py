@@ -509,6 +509,10 @@ class Emitter:
         self._loops.places.append(where)
         return f"\0{len(self._loops.places) - 1}\0"
 
+    def lies(self, node: Node) -> bool:
+        """Whether a node of numbers with a fraction is kept as an array."""
+        return id(node) in self._storage and node.dtype.kind == "f"
+
     def storage_of(self, node: Node) -> Storage:
         """Return where a node is kept as an array in one piece."""
         if node.value is not None:

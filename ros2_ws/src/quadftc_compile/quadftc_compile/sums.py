@@ -15,6 +15,7 @@ from quadftc_compile.text import Expression, Index, Indices, binary, variable
 WRITTEN_OUT = 16  # terms of a sum that are written out in one expression
 REDUCTIONS = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min"}
 REDUCTIONS |= {"reduce_and": "and", "reduce_or": "or", "reduce_xor": "xor"}
+ROWS = 4  # parts of an array, of which one number each is tested at once
 DENSE = 8  # times each number of a matrix is read, from which on it pays to copy it
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 NEUTRAL = {"add": 0, "mul": 1, "and": True, "or": False, "xor": False}
@@ -102,7 +103,19 @@ def _fold_flags(
     """Write a reduction of flags to one: of all of them, with bits as wide as numbers, in vectors."""
     first, bits = [Index() for _ in node.shape], emitter.name("v")
     emitter.line(f"int64_t {bits} = {int(NEUTRAL[op])};")
-    emitter.each(count, lambda inner: f"{bits} {BITS[op]}= {term(first, inner).text};", loop=True)
+    (flags,) = node.operands
+    if op == "and" and flags.op == "is_finite" and emitter.lies(flags.operands[0]) and flags.size % ROWS == 0:
+        # 0 x is 0 for every finite x, NaN for others, and so are sums of these: some tests at once
+        zero, length = emitter.literal(0.0).text, flags.size // ROWS
+        x = emitter.storage_of(flags.operands[0])
+
+        def test(at: Indices) -> str:
+            places = (emitter.place(x, [flags.size], [at[0] + k * length]) for k in range(ROWS))
+            return f"{bits} &= {' + '.join(f'{zero} * {each}' for each in places)} == {zero};"
+
+        emitter.each([length], test, loop=True)
+    else:
+        emitter.each(count, lambda inner: f"{bits} {BITS[op]}= {term(first, inner).text};", loop=True)
     emitter.line(emitter.put(storage, node.shape, first, Expression(f"{bits} != 0")))
 
 

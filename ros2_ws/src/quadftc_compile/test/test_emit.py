@@ -138,6 +138,10 @@ CASES = {
         ),
         (RANDOM.normal(size=(9, 20)),),
     ),
+    "flags of a whole array": (
+        lambda x, y, z: tuple(jnp.isfinite(each).all() for each in (1e308 * jnp.sign(x), x, y, z)),
+        (LARGE, *(np.append(LARGE.flat[1:], odd).reshape(LARGE.shape) for odd in (np.nan, -np.inf))),
+    ),
     "choices": (
         lambda x, f: (jnp.where(f > 0, x, 0.0), jnp.where(f > 0, x[:, :1], -x), (f > 0) & (x > 0), f > 0),
         (RANDOM.normal(size=(9, 20)), RANDOM.normal(size=20)),
