@@ -481,7 +481,7 @@ class Emitter:
             if all(each.factor_of(a) == m * each.factor_of(b) for each in places):
                 axes[k : k + 2] = [(b, n * m)]
                 places = [each.without(a) for each in places]
-        for number, each in enumerate(places):
+        for number, each in reversed([*enumerate(places)]):  # an index may have one within
             content = content.replace(f"\0{number}\0", str(each))
         for name, count in axes:
             self.open(f"for (int {name} = 0; {name} < {count}; {name}++)")
@@ -577,10 +577,21 @@ class Emitter:
         if node.op == "slice":
             strides, starts = params["strides"] or (1,) * len(at), params["start_indices"]
             return self.at(x, [k * s + int(b) for k, s, b in zip(at, strides, starts, strict=True)])
+        if node.op == "take":
+            axis = params["axis"]
+            return self.at(
+                x, [self._taken(k, params["places"]) if a == axis else k for a, k in enumerate(at)]
+            )
         if node.op == "rev":
             turned = enumerate(zip(at, x.shape, strict=True))
             return self.at(x, [k * -1 + (n - 1) if a in params["dimensions"] else k for a, (k, n) in turned])
         return self._part(node, at) if node.op == "concatenate" else self._reshaped(node, at)
+
+    def _taken(self, at: Index, places: Sequence[int]) -> Index:
+        """Return which of the places, which are known, is meant."""
+        if not at.terms:
+            return Index(places[at.constant])
+        return variable(f"{self.table(np.array(places, np.int32))}[{self.index(at)}]")
 
     def _part(self, node: Node, at: Indices) -> Expression:
         axis = node.params["dimension"]

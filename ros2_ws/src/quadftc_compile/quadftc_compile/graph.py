@@ -33,7 +33,7 @@ CALLS = {
 }
 SAME = ("copy", "copy_p", "stop_gradient", "optimization_barrier", "reduce_precision")
 # which elements an array has, not what they are: no arithmetic
-VIEWS = ("reshape", "transpose", "broadcast_in_dim", "slice", "rev", "concatenate")
+VIEWS = ("reshape", "transpose", "broadcast_in_dim", "slice", "rev", "take", "concatenate")
 # operations that NumPy does exactly as C: correctly rounded, or not rounded at all
 EXACT: dict[str, np.ufunc] = {
     "add": np.add,
@@ -342,7 +342,7 @@ def _is_identity(op: str, params: Params, shape: tuple[int, ...]) -> bool:
         return tuple(params["permutation"]) == tuple(range(len(shape)))
     if op == "rev":
         return not params["dimensions"]
-    return True
+    return op != "take" or params["places"] == tuple(range(shape[params["axis"]]))
 
 
 def view(op: str, values: Sequence[Any], params: Params) -> AnyArray:
@@ -362,6 +362,8 @@ def view(op: str, values: Sequence[Any], params: Params) -> AnyArray:
         ]
     if op == "rev":
         return np.flip(x, params["dimensions"])
+    if op == "take":
+        return np.take(x, params["places"], axis=params["axis"])
     if op == "concatenate":
         return np.concatenate(values, axis=params["dimension"])
     shape, places = params["shape"], params["broadcast_dimensions"]
@@ -433,6 +435,21 @@ def _slice(b: _Builder, x: list[Node], out: Shapes, source: Source | None, param
 @_rule("rev")
 def _rev(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
     return b.add("rev", x, out[0], source, dimensions=tuple(params["dimensions"]))
+
+
+@_rule("gather")
+def _gather(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
+    """Return rows at places that are known along one axis, but the last, as a view."""
+    numbers, rest = params["dimension_numbers"], list(x[0].shape)
+    axis, places = numbers.start_index_map[0], x[1].value
+    others = tuple(k for k in range(len(rest)) if k != axis)
+    along = numbers.collapsed_slice_dims == (axis,) == numbers.start_index_map
+    if along and numbers.offset_dims == others and axis < len(rest) - 1 and places is not None:
+        inside = places.ndim == 2 and bool(np.all((places >= 0) & (places < rest[axis])))
+        rest[axis] = 1
+        if inside and list(params["slice_sizes"]) == rest:
+            return b.add("take", x[:1], out[0], source, axis=axis, places=tuple(map(int, places[:, 0])))
+    return b.add("gather", x, out[0], source, **params)
 
 
 @_rule("concatenate")

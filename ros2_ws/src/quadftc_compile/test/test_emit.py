@@ -172,6 +172,16 @@ CASES = {
     ),
     "gather": (lambda x, k: (x[k], jnp.take(x, k, axis=1), x[:, k[0]], x[(1, 3), :]), (A, INDEX)),
     "gather along": (lambda x: (jnp.take_along_axis(x, jnp.argmax(x, axis=1)[:, None], axis=1),), (A,)),
+    "rows that are known": (
+        lambda x: (
+            x[np.array([2, 0, 0])] + 1.0,
+            x[:, np.array([1, 3])] * x[:, ::2],
+            jnp.cumsum(2.0 * x, axis=2)[:, np.array([3, 3, 1, 0, 2])].sum(axis=1),
+            jnp.concatenate([x, -x])[np.array([0, 5, 3])] - 1.0,
+            x[np.array([0, 1, 2])],
+        ),
+        (RANDOM.normal(size=(3, 4, 100)),),
+    ),
     "gather beyond": (lambda x, k: (jnp.take(x, k + 2, axis=0), x.at[k].get(mode="clip")), (A, INDEX)),
     "scatter": (lambda x, k: (x.at[k].set(0.0), x.at[k, 0].add(1.0), x.at[1].set(2.0)), (A, INDEX)),
     "moving slices": (
