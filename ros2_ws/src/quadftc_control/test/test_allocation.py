@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from quadftc_control.allocation import Allocated, allocate
+from quadftc_control.allocation import allocate
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 
@@ -147,22 +147,3 @@ def test_rotors_alike_give_no_torque(vehicle):
     middle = 0.5 * (low + high)
     allocated = allocate(vehicle, middle * len(vehicle.rotors.positions), np.zeros(3))
     np.testing.assert_allclose(forces(vehicle, allocated), middle, rtol=1e-12)
-
-
-def test_batch_and_jax_equal_the_loop():
-    jax = pytest.importorskip("jax")
-    rng = np.random.default_rng(4)
-    for vehicle in VEHICLES.values():
-        wrenches = np.stack([wanted(vehicle, each) for each in rng.uniform(-1.0, 2.0, (40, 4))])
-        loop = [allocate(vehicle, float(each[0]), each[1:]) for each in wrenches]
-        batch = allocate(vehicle, wrenches[:, 0], wrenches[:, 1:])
-        with jax.enable_x64(True):
-            compiled = jax.jit(lambda t, q, v=vehicle: allocate(v, t, q))(wrenches[:, 0], wrenches[:, 1:])
-        single = Allocated(*(np.array(each) for each in zip(*loop, strict=True)))
-        for many in (batch, compiled):
-            np.testing.assert_allclose(many.thrust, single.thrust, rtol=1e-12)
-            np.testing.assert_allclose(many.torque, single.torque, rtol=1e-11, atol=1e-15)
-            # a root magnifies the rounding of a force that is all but zero
-            np.testing.assert_allclose(
-                many.speeds**2, single.speeds**2, atol=1e-11 * vehicle.rotors.speed_max**2
-            )

@@ -1,11 +1,10 @@
 """What every controller of the registry keeps."""
 
-import jax
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
+from law_contract import assert_contract
 from sampling import sampled
 
 from quadftc_compile.engine import CEngine
@@ -87,12 +86,11 @@ def closed_loop(law, angles, duration):
 
 @EVERY_CONTROLLER
 @EVERY_VEHICLE
-@pytest.mark.parametrize("batched", [False, True])
-def test_outputs_have_their_shapes_and_types_and_are_finite(name, vehicle, batched):
-    sequence = [inputs_at(index) if batched else lane(inputs_at(index), 0) for index in range(COUNT)]
+def test_outputs_have_their_shapes_and_types_and_are_finite(name, vehicle):
+    sequence = [lane(inputs_at(index), 0) for index in range(COUNT)]
     for output in flown(controller(name, vehicle), sequence):
         for array in output:
-            assert array.shape == ((LANES, 3) if batched else (3,))
+            assert array.shape == (3,)
             assert np.all(np.isfinite(array))
         assert output.saturated.dtype == bool
 
@@ -143,17 +141,10 @@ def test_effectiveness_of_one_changes_nothing_and_less_of_it_gives_a_finite_torq
     assert np.all(np.isfinite([each.torque for each in weak]))
 
 
-@EVERY_CONTROLLER
-@pytest.mark.parametrize("flies", [False, True])
-@pytest.mark.parametrize("batched", [False, True])
-def test_state_keeps_its_structure_and_the_step_is_traced(name, flies, batched):
-    law, sequence = controller(name), [inputs_at(index) for index in range(3)]
-    sequence = sequence if batched else [lane(inputs, 0) for inputs in sequence]
-    if flies:
-        weak = np.array([1.0, 0.5, 1.0, 1.0])
-        sequence = [with_rotors(each, weak, index == 1) for index, each in enumerate(sequence)]
-    assert_state_keeps_its_structure(law, sequence)
-    assert_step_is_traced(law, sequence[1])
+@SOME_PAIRS
+def test_controller_keeps_the_contract_of_a_law(name, vehicle):
+    lanes = [[lane(inputs_at(index), one) for index in range(COUNT)] for one in range(LANES)]
+    assert_contract(controller(name, vehicle), lanes)
 
 
 @EVERY_CONTROLLER
@@ -182,28 +173,6 @@ def test_error_is_the_attitude_minus_the_reference_the_short_way_round(name):
     np.testing.assert_allclose(output[0].error, [-0.2, -0.3, 6.0 - 2.0 * np.pi], atol=1e-12)
 
 
-@EVERY_CONTROLLER
-def test_same_inputs_give_the_same_torque(name):
-    sequence = [inputs_at(index) for index in range(COUNT)]
-    first, second = (flown(controller(name), sequence)[-1] for _ in range(2))
-    np.testing.assert_array_equal(first.torque, second.torque)
-
-
-@SOME_PAIRS
-def test_batch_equals_the_loop(name, vehicle):
-    law = controller(name, vehicle)
-    sequence = [inputs_at(index) for index in range(COUNT)]
-    batch = flown(law, sequence)
-    for one in range(LANES):
-        alone = flown(law, [lane(inputs, one) for inputs in sequence])
-        for many, single in zip(batch, alone, strict=True):
-            np.testing.assert_allclose(many.torque[one], single.torque, rtol=1e-12, atol=1e-14)
-            np.testing.assert_allclose(many.error[one], single.error, rtol=1e-12, atol=1e-14)
-            np.testing.assert_allclose(
-                many.sliding_variable[one], single.sliding_variable, rtol=1e-12, atol=1e-14
-            )
-
-
 @SOME_PAIRS
 def test_tilted_vehicle_comes_level(name, vehicle):
     course = closed_loop(controller(name, vehicle), np.array([0.3, -0.2, 0.5]), 4.0)
@@ -221,16 +190,3 @@ def test_torque_is_continuous_in_attitude_and_reference(name):
             for shift in (0.0, 1e-7)
         ]
         assert np.max(np.abs(torques[1] - torques[0]) / law.vehicle.inertia) < 1e-3
-
-
-@EVERY_CONTROLLER
-def test_jax_gives_the_same_numbers(name):
-    """Compiled, with the state carried by its loop."""
-    jax.config.update("jax_enable_x64", True)
-    law, sequence = controller(name), [inputs_at(index) for index in range(COUNT)]
-    state, first = jax.jit(lambda inputs: law.step(law.init(inputs), inputs, 0.0))(sequence[0])
-    rest = jax.tree.map(lambda *rows: np.stack(rows), *sequence[1:])
-    _, found = jax.lax.scan(lambda state, inputs: law.step(state, inputs, DT), state, rest)
-    expected = flown(law, sequence)
-    for one, rows, *others in zip(first, found, *expected, strict=True):
-        np.testing.assert_allclose(np.stack([one, *rows]), others, rtol=1e-12, atol=1e-12)

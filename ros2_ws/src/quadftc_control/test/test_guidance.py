@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
+from law_contract import assert_contract, assert_step_is_traced
 
 from quadftc_control.guidance import (
     FlightGuidance,
@@ -71,11 +71,11 @@ LAWS = {
 EVERY = pytest.mark.parametrize("case", LAWS.values(), ids=LAWS)
 
 
-def flown(law, sequence, step=None):
+def flown(law, sequence):
     """All outputs over a sequence of inputs; the first step takes no time."""
     state, outputs = law.init(sequence[0]), []
     for index, inputs in enumerate(sequence):
-        state, output = (step or law.step)(state, inputs, DT if index else 0.0)
+        state, output = law.step(state, inputs, DT if index else 0.0)
         outputs.append(output)
     return outputs
 
@@ -84,38 +84,11 @@ def leaves(tree):
     return [each for part in tree for each in leaves(part)] if isinstance(tree, tuple) else [np.asarray(tree)]
 
 
-def together(parts):
-    """Inputs of some vehicles as inputs with one more axis."""
-    if isinstance(parts[0], tuple):
-        return type(parts[0])(*map(together, zip(*parts, strict=True)))
-    return np.stack([np.asarray(each) for each in parts])
-
-
 @EVERY
-def test_state_keeps_its_structure_and_the_step_is_traced(case):
+def test_guidance_keeps_the_contract_of_a_law(case):
     law, at = case
-    sequence = [at(index) for index in range(6)]
-    assert_state_keeps_its_structure(law, sequence)
-    assert_step_is_traced(law, sequence[0])
-    assert_step_is_traced(law, together(sequence[:3]))
+    assert_contract(law, [[at(index, lane) for index in range(COUNT)] for lane in range(LANES)])
     assert_step_is_traced(law, law.example())
-
-
-@EVERY
-def test_batch_and_jax_equal_the_loop(case):
-    jax = pytest.importorskip("jax")
-    law, at = case
-    lanes = [[at(index, lane) for index in range(COUNT)] for lane in range(LANES)]
-    batch = flown(law, [together(each) for each in zip(*lanes, strict=True)])
-    with jax.enable_x64(True):
-        compiled = flown(law, lanes[1], jax.jit(law.step))
-    for lane, sequence in enumerate(lanes):
-        for many, one in zip(batch, flown(law, sequence), strict=True):
-            for array, alone in zip(leaves(many), leaves(one), strict=True):
-                np.testing.assert_allclose(array[lane], alone, rtol=1e-10, atol=1e-10)
-    for one, other in zip(compiled, flown(law, lanes[1]), strict=True):
-        for array, alone in zip(leaves(one), leaves(other), strict=True):
-            np.testing.assert_allclose(array, alone, rtol=1e-10, atol=1e-10)
 
 
 def test_references_are_followed_and_one_that_is_absurd_leaves_the_last():

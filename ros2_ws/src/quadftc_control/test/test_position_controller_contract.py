@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
+from law_contract import assert_contract
 from sampling import sampled
 
 from quadftc_compile.engine import CEngine
@@ -66,23 +66,13 @@ def flown_long(law, sequence):
     return [stepper.step(index * DT_NS, inputs) for index, inputs in enumerate(sequence)]
 
 
-def flown(law, sequence, step=None):
+def flown(law, sequence):
     """All outputs over a sequence of inputs; the first step takes no time."""
-    step = step or law.step
     state, outputs = law.init(sequence[0]), []
     for index, inputs in enumerate(sequence):
-        state, output = step(state, inputs, DT if index else 0.0)
+        state, output = law.step(state, inputs, DT if index else 0.0)
         outputs.append(output)
     return outputs
-
-
-def as_table(outputs):
-    """Angles, rates, accelerations and thrust over time."""
-    parts = [
-        np.concatenate([*map(np.asarray, each.attitude), np.asarray(each.thrust)[..., None]], -1)
-        for each in outputs
-    ]
-    return np.array(parts)
 
 
 @EVERY_CONTROLLER
@@ -155,35 +145,10 @@ def test_rates_and_accelerations_fit_the_angles_and_the_rotors(name):
 
 
 @EVERY_CONTROLLER
-def test_same_inputs_give_the_same_command(name):
-    sequence = [inputs_at(index) for index in range(COUNT)]
-    first, second = (as_table(flown(controller(name), sequence)) for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-
-
-@EVERY_CONTROLLER
 @SOME_VEHICLES
-def test_batch_and_jax_equal_the_loop(name, vehicle):
-    jax = pytest.importorskip("jax")
-    law = controller(name, vehicle)
-    sequence = [inputs_at(index) for index in range(COUNT)]
-    batch = as_table(flown(law, sequence))
-    assert batch.shape == (COUNT, LANES, 10)
-    with jax.enable_x64(True):
-        compiled = as_table(flown(law, sequence, jax.jit(law.step)))
-    for one in range(LANES):
-        alone = as_table(flown(law, [lane(inputs, one) for inputs in sequence]))
-        np.testing.assert_allclose(batch[:, one], alone, rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(compiled[:, one], alone, rtol=1e-12, atol=1e-12)
-
-
-@EVERY_CONTROLLER
-@pytest.mark.parametrize("batched", [False, True])
-def test_state_keeps_its_structure_and_the_step_is_traced(name, batched):
-    law, sequence = controller(name), [inputs_at(index) for index in range(3)]
-    sequence = sequence if batched else [lane(inputs, 0) for inputs in sequence]
-    assert_state_keeps_its_structure(law, sequence)
-    assert_step_is_traced(law, sequence[1])
+def test_controller_keeps_the_contract_of_a_law(name, vehicle):
+    lanes = [[lane(inputs_at(index), one) for index in range(COUNT)] for one in range(LANES)]
+    assert_contract(controller(name, vehicle), lanes)
 
 
 class PointMass:

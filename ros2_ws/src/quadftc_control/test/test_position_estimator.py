@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from in_c import fly_arrays
+from law_contract import assert_contract
 
 from quadftc_control.trajectory import trajectories
 from quadftc_model.arrays import rows_of
@@ -165,32 +166,14 @@ def test_position_that_is_no_number_changes_nothing(value):
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_batch_and_jax_equal_the_loop(sensor):
-    jax = pytest.importorskip("jax")
-    law = SENSORS[sensor][0]
+def test_estimator_keeps_the_contract_of_a_law(sensor):
     flights = [
         Flight(seed=1),
         Flight(seed=2, shift=lambda time: 3.0 if time > 0.3 else 0.0),
         Flight(seed=3, silent=lambda time: time < 0.5, force_lost=lambda time: time > 1.0),
     ]
     lanes = [in_turn(flight.inputs(sensor, 1.6)[0]) for flight in flights]
-    together = [jax.tree.map(lambda *parts: np.stack(parts), *each) for each in zip(*lanes, strict=True)]
-
-    def flown(inputs, step):
-        state, out = law.init(inputs[0]), []
-        for index, each in enumerate(inputs):
-            state, estimate = step(state, each, DT if index else 0.0)
-            out.append(np.concatenate([np.asarray(part) for part in estimate], axis=-1))
-        return np.array(out)
-
-    batch = flown(together, law.step)
-    with jax.enable_x64(True):
-        compiled = flown(together, jax.jit(law.step))
-    for lane, inputs in enumerate(lanes):
-        alone = flown(inputs, law.step)
-        assert np.all(np.isfinite(alone))
-        np.testing.assert_allclose(batch[:, lane], alone, rtol=1e-12, atol=1e-11)
-        np.testing.assert_allclose(compiled[:, lane], alone, rtol=1e-12, atol=1e-11)
+    assert_contract(SENSORS[sensor][0], lanes, atol=1e-11)
 
 
 @pytest.mark.parametrize(("sensor", "bound"), [("mocap", 0.02), ("gps", 0.25)])

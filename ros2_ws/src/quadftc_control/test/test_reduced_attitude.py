@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from law_contract import assert_contract
 
 from quadftc_control.controllers.indi import Indi
 from quadftc_control.controllers.ismc import Ismc
@@ -115,45 +116,12 @@ def test_the_thrust_comes_to_its_direction_however_fast_the_vehicle_spins(spin):
     assert np.hypot(*motion[1][:2]) < 0.3
 
 
-def test_batch_equals_the_loop():
-    rng = np.random.default_rng(2)
+@pytest.mark.parametrize("controller", [Ismc, Pid])
+def test_law_that_takes_over_keeps_the_contract(controller):
+    rng, law = np.random.default_rng(2), Enduring(law=controller(vehicle=VEHICLE))
     lanes = [
         [inputs_of(np.clip(rng.uniform(-0.5, 1.5, 4), 0, 1), *rng.normal(0, 0.3, (3, 3))) for _ in range(20)]
         for _ in range(4)
     ]
-    law = Enduring(law=Ismc(vehicle=VEHICLE))
-
-    def together(parts):
-        if isinstance(parts[0], tuple):
-            return type(parts[0])(*(together(each) for each in zip(*parts, strict=True)))
-        return None if parts[0] is None else np.stack([np.asarray(each) for each in parts])
-
-    batch = [together(each) for each in zip(*lanes, strict=True)]
-    state = law.init(batch[0])
-    many = []
-    for index, inputs in enumerate(batch):
-        state, output = law.step(state, inputs, DT if index else 0.0)
-        many.append((output.torque, state.active))
-    for lane, sequence in enumerate(lanes):
-        outputs, active = flown(law, sequence)
-        np.testing.assert_array_equal([each[1][lane] for each in many], active)
-        np.testing.assert_allclose(
-            [each[0][lane] for each in many], [each.torque for each in outputs], rtol=1e-9, atol=1e-12
-        )
-
-
-def test_jax_equals_the_loop():
-    jax = pytest.importorskip("jax")
-    law, rng = Enduring(law=Pid(vehicle=VEHICLE)), np.random.default_rng(3)
-    sequence = [
-        inputs_of(np.clip(rng.uniform(-0.5, 1.5, 4), 0, 1), *rng.normal(0, 0.3, (3, 3))) for _ in range(9)
-    ]
-    outputs, active = flown(law, sequence)
-    assert len(set(active)) == 2
-    state = law.init(sequence[0])
-    with jax.enable_x64(True):
-        step = jax.jit(law.step)
-        for index, inputs in enumerate(sequence):
-            state, output = step(state, inputs, DT if index else 0.0)
-            assert bool(state.active) == active[index]
-            np.testing.assert_allclose(output.torque, outputs[index].torque, rtol=1e-9, atol=1e-12)
+    assert set(flown(law, lanes[0])[1]) == {True, False}
+    assert_contract(law, lanes, rtol=1e-9)

@@ -97,16 +97,3 @@ def test_every_torque_is_divided_by_the_inertia(name):
     actual = angular_acceleration(vehicle, rates, rotors + disturbance, momentum)
     expected = (rotors + disturbance - vehicle.rotational_drag * rates) / vehicle.inertia
     np.testing.assert_allclose(actual, expected, rtol=1e-14)
-
-
-def test_batch_equals_the_loop():
-    vehicle = load_vehicle("qball_x4")
-    generator = np.random.default_rng(2)
-    rates, torques, commands = (np.abs(0.05 * generator.standard_normal((6, width))) for width in (3, 3, 4))
-
-    def acceleration(*index):
-        momentum = propeller_momentum(vehicle, commands[index])
-        return angular_acceleration(vehicle, rates[index], torques[index], momentum)
-
-    loop = [acceleration(index) for index in range(6)]
-    np.testing.assert_allclose(acceleration(), np.array(loop), rtol=1e-12)

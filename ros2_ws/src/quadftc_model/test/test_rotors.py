@@ -94,13 +94,6 @@ def test_attainable_leaves_yaw_what_room_there_is(vehicle, share):
 
 
 @EVERY_VEHICLE
-def test_attainable_of_a_batch_equals_the_loop(vehicle):
-    batch = vehicle.authority * np.random.default_rng(3).uniform(-2.0, 2.0, (50, 3))
-    loop = np.array([attainable(vehicle, torque) for torque in batch])
-    np.testing.assert_allclose(attainable(vehicle, batch), loop, atol=1e-12 * np.max(vehicle.authority))
-
-
-@EVERY_VEHICLE
 def test_propeller_speed_gives_the_thrust_of_the_command(vehicle):
     rotors = vehicle.rotors
     commands = np.linspace(rotors.command_min, rotors.command_max, 5)

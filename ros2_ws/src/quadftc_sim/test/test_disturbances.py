@@ -1,58 +1,11 @@
-"""Disturbances: what every one keeps, and what each does."""
+"""Disturbances: what each does; what every one keeps is in `test_laws`."""
 
 import math
 
 import numpy as np
-import pytest
 
-from quadftc_model.parameters import build, parameters_of
+from quadftc_model.parameters import build
 from quadftc_sim.disturbance import disturbances
-
-EVERY_DISTURBANCE = pytest.mark.parametrize("name", disturbances.names())
-TIMES = np.linspace(0.0, 6.0, 25)
-
-
-def sized(name, **values):
-    """A disturbance whose vectors have an amount that is not zero."""
-    component = disturbances.get(name)
-    vectors = [spec for spec in parameters_of(component) if spec.is_vector]
-    amounts = {spec.name: (0.2, 0.3, 0.4) for spec in vectors}
-    return build(component, {**amounts, **values})
-
-
-@EVERY_DISTURBANCE
-def test_torque_acts_from_start_inclusive_to_stop_exclusive(name):
-    law = sized(name, start=2.0, stop=3.0)
-    acting = [bool(np.any(law.torque(time) != 0.0)) for time in (1.999, 2.001, 2.999, 3.0, 9.0)]
-    assert acting == [False, True, True, False, False]
-    np.testing.assert_array_equal(law.torque(2.0), law.shape(np.zeros(1)))
-
-
-@EVERY_DISTURBANCE
-def test_torque_is_three_finite_numbers_and_the_same_every_time(name):
-    law = sized(name, start=2.0)
-    for time in TIMES:
-        torque = law.torque(float(time))
-        assert torque.shape == (3,)
-        assert torque.dtype == np.float64
-        assert np.all(np.isfinite(torque))
-        np.testing.assert_array_equal(torque, law.torque(float(time)))
-
-
-@EVERY_DISTURBANCE
-def test_batch_of_times_equals_the_loop(name):
-    law = sized(name, start=2.0, stop=5.0)
-    times = TIMES.copy()
-    times.setflags(write=False)
-    loop = np.array([law.torque(float(time)) for time in TIMES])
-    np.testing.assert_allclose(law.torque(times), loop, rtol=1e-12, atol=1e-15)
-
-
-@EVERY_DISTURBANCE
-@pytest.mark.parametrize(("start", "stop"), [(2.0, 2.0), (2.0, 1.0)])
-def test_window_that_ends_before_it_starts_is_refused(name, start, stop):
-    with pytest.raises(ValueError, match=f"stop = {stop:g} s: must be later than start = {start:g} s"):
-        build(disturbances.get(name), {"start": start, "stop": stop})
 
 
 def test_constant_is_its_amplitude():

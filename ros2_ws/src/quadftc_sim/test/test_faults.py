@@ -56,30 +56,6 @@ def test_output_has_the_shape_of_the_channel_and_is_a_number(name, shape):
         assert name == "nan" or np.all(np.isfinite(output.value))
 
 
-@EVERY_FAULT
-def test_same_numbers_give_the_same_fault(name):
-    values = np.random.default_rng(6).standard_normal((8, 3))
-    first, second = (flown(sized(name), values, np.random.default_rng(7)) for _ in range(2))
-    assert np.array_equal([out.value for out in first], [out.value for out in second], equal_nan=True)
-
-
-@EVERY_FAULT
-def test_batch_equals_the_loop(name):
-    law = sized(name)
-    generator = np.random.default_rng(8)
-    values, normal, uniform = generator.random((3, 8, 4, 3))
-    state = law.init(values[0])
-    alone = [law.init(values[0, lane]) for lane in range(4)]
-    for index in range(8):
-        elapsed, dt = (index - 3) * DT, 0.0 if index == 0 else DT
-        state, batch = law.step(state, FaultInputs(values[index], elapsed, normal[index], uniform[index]), dt)
-        for lane in range(4):
-            sample = FaultInputs(values[index, lane], elapsed, normal[index, lane], uniform[index, lane])
-            alone[lane], single = law.step(alone[lane], sample, dt)
-            np.testing.assert_allclose(batch.value[lane], single.value, rtol=1e-12)
-            assert batch.valid[lane] == single.valid
-
-
 def test_bias_adds_its_value():
     assert once(sized("bias", value=[0.1, -0.2, 0.3])).tolist() == [1.1, 1.8, 3.3]
 

@@ -9,7 +9,6 @@ from sampling import sampled
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadftc_model.arrays import rows_of
 from quadftc_model.parameters import build
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.rotors import wrench_from_speeds
@@ -157,21 +156,3 @@ def test_accelerometer_off_the_centre_feels_the_rotation():
     state = plant.init(np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, 3.0]))
     force = plant.specific_force(state._replace(speeds=np.zeros(4)), 0.0)
     np.testing.assert_allclose(force, [-0.9, 0.0, 0.0], atol=1e-12)
-
-
-@pytest.mark.parametrize("lag", [False, True])
-def test_many_vehicles_at_once_are_one_after_the_other(lag):
-    plant = windy("crazyflie_2x", motor_lag=lag)
-    rng = np.random.default_rng(1)
-    angles, rates = rng.uniform(-1.0, 1.0, (2, 5, 3))
-    heights = np.array([50.0, 1.0, 0.02, 0.0, 3.0])
-    speeds = plant.vehicle.hover_speed * rng.uniform(0.5, 1.5, (5, 4))
-    state = plant.init(quaternion_from_euler(angles), rates)
-    state = state._replace(position=np.stack([rates[:, 0], rates[:, 1], heights], axis=-1))
-    many = flown(plant, state, speeds, 5)
-    for row in range(5):
-        one = flown(plant, rows_of(state, row), speeds[row], 5)
-        for a, b in zip(one[:5], many[:5], strict=True):
-            np.testing.assert_allclose(a, b[row], rtol=1e-12, atol=1e-12)
-        force = plant.specific_force(one, 0.02)
-        np.testing.assert_allclose(force, plant.specific_force(many, 0.02)[row], rtol=1e-10, atol=1e-9)

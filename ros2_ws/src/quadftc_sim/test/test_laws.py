@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from law_contract import assert_state_keeps_its_structure, assert_step_is_traced, structure
+from law_contract import assert_alike, assert_contract, structure
 from sampling import sampled
 
 from quadftc_model.composition import PlainCalls
@@ -41,68 +41,13 @@ from quadftc_sim.wind import winds
 DT, COUNT, LANES = 0.004, 8, 3
 PERIOD_NS = 4_000_000
 TIMES = np.linspace(0.0, 6.0, 13)
+TIMES.setflags(write=False)
 
 
 def sized(registry, kind, **values):
     """A component whose vectors have an amount that is not zero."""
     vectors = [spec.name for spec in parameters_of(registry.get(kind)) if spec.is_vector]
     return build(registry.get(kind), {**dict.fromkeys(vectors, 0.3), **values})
-
-
-def stacked(trees):
-    """Nested tuples with a leading axis for several."""
-    first = trees[0]
-    if isinstance(first, tuple):
-        parts = [stacked(each) for each in zip(*trees, strict=True)]
-        return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
-    return None if first is None else np.stack(trees)
-
-
-def flown(law, sequence):
-    """State and output after each of a sequence of inputs."""
-    state, found = law.init(sequence[0]), []
-    for index, inputs in enumerate(sequence):
-        state, output = law.step(state, inputs, DT if index else 0.0)
-        found.append((state, output))
-    return found
-
-
-def flown_in_jax(law, sequence):
-    """The same, traced with the numbers of the law as arguments."""
-    numbers = numbers_of(law)
-    init = jax.jit(lambda values, inputs: with_numbers(law, values).init(inputs))
-    step = jax.jit(lambda values, *given: with_numbers(law, values).step(*given))
-    with jax.enable_x64(True):
-        state, found = init(numbers, sequence[0]), []
-        for index, inputs in enumerate(sequence):
-            state, output = step(numbers, state, inputs, DT if index else 0.0)
-            found.append(jax.tree.map(np.asarray, (state, output)))
-    return found
-
-
-def assert_alike(found, expected, **tolerances):
-    """Assert that nested tuples have the same arrays."""
-    if isinstance(expected, tuple):
-        for a, b in zip(found, expected, strict=True):
-            assert_alike(a, b, **tolerances)
-    elif expected is None:
-        assert found is None
-    else:
-        assert np.asarray(found).dtype == np.asarray(expected).dtype
-        np.testing.assert_allclose(found, expected, **{"rtol": 1e-12, "atol": 1e-13} | tolerances)
-
-
-def assert_contract(law, lanes, **tolerances):
-    """Assert what every law keeps, on the sequences of inputs of some vehicles."""
-    assert_state_keeps_its_structure(law, lanes[0])
-    assert_step_is_traced(law, lanes[0][1])
-    alone = [flown(law, sequence) for sequence in lanes]
-    together = flown(law, [stacked(each) for each in zip(*lanes, strict=True)])
-    for lane, sequence in enumerate(alone):
-        for many, one in zip(together, sequence, strict=True):
-            assert_alike(jax.tree.map(lambda array, lane=lane: array[lane], many), one, **tolerances)
-    for here, there in zip(flown_in_jax(law, lanes[0]), alone[0], strict=True):
-        assert_alike(here, there, **tolerances)
 
 
 def samples(lane):
@@ -150,19 +95,41 @@ def test_every_rotor_fault_keeps_the_contract(kind):
     assert_contract(RotorsFault(injection), [sequence] * LANES)
 
 
-@pytest.mark.parametrize(
-    ("registry", "kind"), [(each, kind) for each in (disturbances, winds) for kind in each.names()]
+PUSHES = {disturbances: "torque", winds: "velocity"}  # what the laws of a registry say of times
+EVERY_PUSH = pytest.mark.parametrize(
+    ("registry", "kind"), [(each, kind) for each in PUSHES for kind in each.names()]
 )
-def test_every_disturbance_and_wind_is_traced_with_its_numbers_unknown(registry, kind):
-    law = sized(registry, kind, start=2.0, stop=5.0)
-    of = (lambda law, time: law.torque(time)) if registry is disturbances else lambda law, t: law.velocity(t)
-    expected = of(law, TIMES)
-    assert expected.shape == (len(TIMES), 3)
-    assert np.any(expected != 0.0)
-    numbers = numbers_of(law)
+
+
+@EVERY_PUSH
+def test_every_disturbance_and_wind_is_the_same_for_many_times_and_in_jax_with_its_numbers_unknown(
+    registry, kind
+):
+    law, name = sized(registry, kind, start=2.0, stop=5.0), PUSHES[registry]
+    loop = np.array([getattr(law, name)(float(time)) for time in TIMES])
+    assert (loop.shape, loop.dtype) == ((len(TIMES), 3), np.float64)
+    assert np.all(np.isfinite(loop))
+    assert np.any(loop != 0.0)
+    np.testing.assert_allclose(getattr(law, name)(TIMES), loop, rtol=1e-12, atol=1e-14)
     with jax.enable_x64(True):
-        found = jax.jit(lambda values, time: of(with_numbers(law, values), time))(numbers, TIMES)
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
+        unknown = jax.jit(lambda values, time: getattr(with_numbers(law, values), name)(time))
+        np.testing.assert_allclose(unknown(numbers_of(law), TIMES), loop, rtol=1e-12, atol=1e-13)
+
+
+@EVERY_PUSH
+def test_disturbance_or_wind_acts_from_start_inclusive_to_stop_exclusive(registry, kind):
+    law = sized(registry, kind, start=2.0, stop=3.0)
+    at = getattr(law, PUSHES[registry])
+    acting = [bool(np.any(at(time) != 0.0)) for time in (1.999, 2.001, 2.999, 3.0, 9.0)]
+    assert acting == [False, True, True, False, False]
+    np.testing.assert_array_equal(at(2.0), law.shape(np.zeros(1)))
+
+
+@EVERY_PUSH
+@pytest.mark.parametrize("stop", [2.0, 1.0])
+def test_window_that_ends_before_it_starts_is_refused(registry, kind, stop):
+    with pytest.raises(ValueError, match=f"stop = {stop:g} s: must be later than start = 2 s"):
+        build(registry.get(kind), {"start": 2.0, "stop": stop})
 
 
 def vehicle(kind, grade, **options):
