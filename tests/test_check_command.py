@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -53,30 +52,6 @@ def test_a_recorded_run_is_not_judged_with_other_parts(run):
     done = check(run, "--controller", "smc")
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {run}: a recorded run is judged as it was flown")
-
-
-def test_a_truncated_bag_is_read_to_its_end_with_a_warning(run, tmp_path):
-    copy = tmp_path / run.name
-    shutil.copytree(run, copy)
-    (file,) = copy.glob("*.mcap")
-    file.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
-    done = check(copy)
-    assert done.returncode in (0, 1)
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stderr.startswith("warning: ")
-    assert "along the recorded run" in done.stdout
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"this is no bag, but long enough to look at"], ids=["empty", "text"]
-)
-def test_a_file_that_is_no_bag_is_refused_with_one_line(tmp_path, content):
-    path = tmp_path / "some.mcap"
-    path.write_bytes(content)
-    done = check(path)
-    assert done.returncode == 2
-    assert done.stderr.startswith(f"error: {path}")
-    assert len(done.stderr.splitlines()) == 1
 
 
 def test_isolability_shows_which_faults_look_the_same():

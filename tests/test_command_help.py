@@ -9,7 +9,6 @@ from importlib.metadata import EntryPoint
 import pytest
 from typer.testing import CliRunner
 
-from command_bench import call_quadftc
 from quadftc_cli.main import OWN_ENTRIES, SUBCOMMANDS, app, purpose
 
 HEAVY = ("numpy", "pydantic", "rclpy", "rich", "scipy")
@@ -60,8 +59,3 @@ def test_names_of_scenarios_and_observers_are_completed(monkeypatch, words, coun
     monkeypatch.setenv("COMP_CWORD", str(count))
     done = CliRunner().invoke(app, env={"_QUADFTC_COMPLETE": "complete_bash"}, prog_name="quadftc")
     assert done.output.split() == found
-
-
-def test_unknown_command_is_refused():
-    done = call_quadftc("fly")
-    assert (done.returncode, "fly" in done.stderr) == (2, True)

@@ -102,16 +102,3 @@ def test_setpoints_are_not_listened_to_unless_asked_for(lockstep_bench):
     said = lockstep_bench.watch_diagnostics()
     lockstep_bench.until(lambda: source.step() or "reference: source" in said)
     assert said["reference: source"].message == "scenario"
-
-
-@pytest.mark.parametrize(
-    ("wrong", "text"),
-    [
-        ({"source": "radio"}, "source = 'radio': expected one of scenario, topic"),
-        ({"references": ["stpe angles=1"]}, "reference 'stpe angles=1': .*step"),
-        ({"setpoint.bandwidth": 0.0}, r"setpoint.bandwidth = 0.0 rad/s: must be within \[0.001, 50\]"),
-    ],
-)
-def test_wrong_parameter_is_refused_by_name(bench, wrong, text):
-    with pytest.raises(ValueError, match=text):
-        bench.run(ReferenceNode, **wrong)

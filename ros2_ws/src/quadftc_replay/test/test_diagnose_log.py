@@ -232,15 +232,6 @@ def test_accelerometers_at_two_places_agree_as_the_vehicle_turns_fast():
     assert [each.component for each in inspect(log).verdict.findings] == ["accelerometer 1"]
 
 
-def test_battery_that_breaks_down_is_named():
-    log = hover()
-    assert log.battery is not None
-    log.battery.value[4000:4250] -= 3.0
-    (found,) = inspect(log).verdict.findings
-    assert (found.component, found.kind) == ("battery", "brownout")
-    assert found.onset_s == pytest.approx(16.0, abs=0.1)
-
-
 def test_fault_that_cannot_act_is_refused():
     with pytest.raises(ValueError, match="has no attitude"):
         findings("bias axis=roll value=3deg start=10s")

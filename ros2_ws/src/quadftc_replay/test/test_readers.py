@@ -142,7 +142,7 @@ def test_damaged_parameters_are_left_out():
     assert sound(damaged) == {"a": 4.0, "e": 3.0}
 
 
-@pytest.mark.parametrize("content", [b"", b"\xbc\x09", b"not a log at all", b"\x7fELF"])
+@pytest.mark.parametrize("content", [b"", b"\xbc\x09", b"ULog", b"not a log at all", b"\x7fELF"])
 def test_other_file_is_refused_in_one_line(tmp_path, content):
     path = tmp_path / "log"
     path.write_bytes(content)

@@ -155,25 +155,6 @@ def test_damaged_message_costs_few_others(tmp_path, path):
     assert len(cut.gyros[""]) >= COUNT - 2
 
 
-def test_any_damage_is_read_or_refused_in_one_line(path):
-    whole, rng = path.read_bytes(), np.random.default_rng(1)
-    for trial in range(40):
-        data = bytearray(whole[: rng.integers(2, len(whole))] if trial % 2 else whole)
-        for place in rng.integers(2, len(data), 30 if trial % 3 else 0).tolist():
-            data[place] = int(rng.integers(256))
-        path.write_bytes(data)
-        problem = ""
-        try:
-            log = read_log(path)
-            assert log.end < 3600.0
-            for signal in (*log.gyros.values(), *log.accelerometers.values()):
-                assert np.all(np.diff(signal.time) > 0.0)
-        except BagError as error:
-            problem = str(error)
-        assert "\n" not in problem
-        assert not problem or problem.startswith(str(path))
-
-
 def test_log_without_a_layout_or_a_signal_says_so(tmp_path):
     path = tmp_path / "log"
     path.write_bytes(log_bytes({}))

@@ -8,12 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadftc_bags.bag import BagError
-from quadftc_model.frames import enu_flu_from_ned_frd, flu_from_frd
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, quaternion_rate
 from quadftc_replay.imu_from_log import recording_from_log
 from quadftc_replay.imu_recording import nearest_rows, sampling_rate
-from quadftc_replay.plan import ReplayOptions, plan_replay
 from quadftc_replay.readers import read_log, ulog
 
 GYRO_PERIOD_US = 5000  # 200 Hz
@@ -89,44 +86,6 @@ def flight(attitude_lag_us: int = 0) -> dict[str, list[tuple]]:
     return {"vehicle_attitude": attitudes, "sensor_combined": gyros}
 
 
-def test_level_and_facing_north_is_yaw_of_90_degrees():
-    q = enu_flu_from_ned_frd(np.array([1.0, 0.0, 0.0, 0.0]))
-    np.testing.assert_allclose(euler_from_quaternion(q), [0.0, 0.0, np.pi / 2], atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("px4_axis", "expected"),
-    [
-        (0, [0.3, 0.0, np.pi / 2]),  # right wing down is a positive roll in both
-        (1, [0.0, -0.3, np.pi / 2]),  # nose up is a positive pitch there, a negative one here
-        (2, [0.0, 0.0, np.pi / 2 - 0.3]),  # clockwise there, counterclockwise here
-    ],
-)
-def test_turn_about_one_axis_keeps_its_meaning(px4_axis, expected):
-    angles = np.zeros(3)
-    angles[px4_axis] = 0.3
-    x, y, z, w = quaternion_from_euler(angles)
-    found = euler_from_quaternion(enu_flu_from_ned_frd(np.array([w, x, y, z])))
-    np.testing.assert_allclose(found, expected, atol=1e-15)
-
-
-def matrix(q_xyzw) -> np.ndarray:
-    """Rotation matrix of a quaternion."""
-    x, y, z, w = q_xyzw
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + 2.0 * w * K + 2.0 * K @ K
-
-
-def test_a_body_vector_points_the_same_way_in_both_worlds():
-    rng = np.random.default_rng(0)
-    q_wxyz = rng.standard_normal(4)
-    q_wxyz /= np.linalg.norm(q_wxyz)
-    v_frd = rng.standard_normal(3)
-    north, east, down = matrix(np.roll(q_wxyz, -1)) @ v_frd
-    found = matrix(enu_flu_from_ned_frd(q_wxyz)) @ flu_from_frd(v_frd)
-    np.testing.assert_allclose(found, [east, north, -down], atol=1e-12)
-
-
 def test_gyro_drives_and_each_attitude_belongs_to_its_sample(tmp_path):
     recording = recording_from_log(write_ulog(tmp_path / "log.ulg", flight()))
     assert sampling_rate(recording.stamp_ns) == pytest.approx(200.0)
@@ -176,38 +135,6 @@ def test_reset_of_the_estimator_is_reported(tmp_path):
     ]
     warnings = recording_from_log(write_ulog(tmp_path / "log.ulg", topics)).warnings
     assert "has reset the attitude 1 times, at 1.00 s: no fault" in warnings[0]
-
-
-def test_log_is_replayed_with_an_overlaid_fault(tmp_path):
-    path = write_ulog(tmp_path / "log.ulg", flight())
-    plan = plan_replay(path, ReplayOptions(observer="none", faults=("bias axis=yaw value=5deg start=1s",)))
-    metrics = plan.summary(plan.diagnose())["metrics"]
-    assert metrics["fault_estimate_rmse_inside_deg"]["yaw"] == pytest.approx(5.0)
-
-
-@pytest.mark.parametrize(
-    ("left", "topic", "words"),
-    [
-        (["sensor_combined"], "", "no attitude in this PX4 ULog log"),
-        (["vehicle_attitude"], "", "no gyro in this PX4 ULog log; gyros there: none"),
-        (["vehicle_attitude", "sensor_combined"], "imu/data", "no gyro 'imu/data' in this PX4 ULog log"),
-    ],
-)
-def test_log_without_a_topic_is_refused(tmp_path, left, topic, words):
-    topics = {name: rows for name, rows in flight().items() if name in left}
-    with pytest.raises(BagError) as caught:
-        recording_from_log(write_ulog(tmp_path / "log.ulg", topics), topic)
-    assert words in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("content", [b"", b"ULog", b"no log at all, but long enough for a header"])
-def test_other_file_is_refused(tmp_path, content):
-    path = tmp_path / "log.ulg"
-    path.write_bytes(content)
-    with pytest.raises(BagError, match=r"expected a log of one of the formats|empty") as caught:
-        plan_replay(path, ReplayOptions())
-    assert "\n" not in str(caught.value)
 
 
 def message_starts(data):

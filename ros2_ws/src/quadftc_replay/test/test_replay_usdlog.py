@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from quadftc_bags.bag import BagError
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
 from quadftc_replay.flight_log import MAIN
 from quadftc_replay.imu_from_log import recording_from_log
-from quadftc_replay.plan import ReplayOptions, plan_replay
 from quadftc_replay.readers import read_log
 from quadftc_replay.usdlog import read_usdlog
 
@@ -152,13 +149,6 @@ def test_rare_events_of_a_whole_log_are_kept(tmp_path):
     assert log.warnings == ()
 
 
-def test_log_is_replayed_with_an_overlaid_fault(tmp_path):
-    path = write(tmp_path, flight())
-    plan = plan_replay(path, ReplayOptions(observer="none", faults=("bias axis=yaw value=5deg start=0.6s",)))
-    metrics = plan.summary(plan.diagnose())["metrics"]
-    assert metrics["fault_estimate_rmse_inside_deg"]["yaw"] == pytest.approx(5.0)
-
-
 def test_log_cut_short_is_read_up_to_the_cut(tmp_path):
     data = flight()
     row = 10 + 4 * 7
@@ -209,19 +199,6 @@ def test_stamps_that_repeat_or_go_back_are_left_out(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("variables", "words"),
-    [
-        (GYRO, "no attitude in this Crazyflie uSD log"),
-        (QUATERNION, "no gyro in this Crazyflie uSD log"),
-        (("gyro.x(f)",), "without a usable signal; expected a gyro"),
-    ],
-)
-def test_log_that_cannot_be_diagnosed_says_what_is_missing(tmp_path, variables, words):
-    rows = [(ID, BOOT_US + k * PERIOD_US, *[0.0] * len(variables)) for k in range(5)]
-    assert words in refusal(write(tmp_path, log_bytes({ID: (FIXED, variables)}, rows)))
-
-
-@pytest.mark.parametrize(
     ("data", "words"),
     [
         (b"", "magic at byte 0: end of the file; expected a whole header"),
@@ -242,29 +219,6 @@ def test_log_that_cannot_be_diagnosed_says_what_is_missing(tmp_path, variables, 
 def test_wrong_header_is_refused_with_byte_field_and_expectation(tmp_path, data, words):
     path = write(tmp_path, data)
     assert words in refusal(path, read_usdlog)
-
-
-GOOD = flight(count=40)
-
-
-@given(st.data())
-def test_any_damage_is_read_or_refused_in_one_line(tmp_path_factory, data):
-    damaged = bytearray(GOOD)
-    for _ in range(data.draw(st.integers(0, 4))):
-        place = data.draw(st.integers(0, len(damaged) - 1))
-        damaged[place] = data.draw(st.integers(0, 255))
-    length = data.draw(st.integers(0, len(damaged)))
-    path = write(tmp_path_factory.mktemp("damaged"), bytes(damaged[:length]))
-    try:
-        log = read_log(path)
-    except BagError:
-        refusal(path, read_log)  # again, in one line
-        return
-    for signal in (*log.gyros.values(), *filter(None, [log.attitude])):
-        assert np.all(np.diff(signal.time) > 0)
-        assert not np.isinf(signal.value).any()
-    if bytes(damaged[:length]) != GOOD:
-        assert log.notes
 
 
 @pytest.mark.skipif(LOGS is None, reason="no recorded logs beside the repository (shared/data/crazyflie)")

@@ -4,13 +4,12 @@ import dataclasses
 import functools
 import json
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_runs import recorded_run
 
-from quadftc_bags.bag import Bag, BagError
-from quadftc_flight.closed_loop import fly
+from quadftc_bags.bag import BagError
 from quadftc_flight.run_directory import MissingPartError, RecordedRun
 from quadftc_flight.scenario import node_parameters, parse_scenario
 from quadftc_flight.summary import summary
@@ -45,20 +44,9 @@ VOID = {"meta", "link", "br", "img", "input", "wbr"}
 def flown(scheme: str, *overrides: str) -> RecordedRun:
     """A run as if read from a bag."""
     scenario = parse_scenario(TEXT, overrides=overrides)
-    chosen = scenario.scheme(scheme)
-    parameters = node_parameters(scenario, chosen)
-    flight = fly(scenario, chosen)
-    return RecordedRun(
-        name=f"{scenario.name}-{scheme}",
-        path=Path("runs", f"{scenario.name}-{scheme}"),
-        bag=Bag(Path(scheme)),
-        scenario=scenario,
-        scheme=chosen,
-        parameters={node: dict(values) for node, values in parameters.items()},
-        flight=flight,
-        summary=summary(flight, scenario, chosen, None),
-        versions={"quadftc": "1.2.3", "commit": "abcdef"},
-    )
+    parameters = {node: dict(values) for node, values in node_parameters(scenario, scheme).items()}
+    versions = {"quadftc": "1.2.3", "commit": "abcdef"}
+    return recorded_run(scenario, scheme, parameters=parameters, versions=versions)
 
 
 class Page(HTMLParser):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_runs import recorded_run
 
-from quadftc_bags.bag import Bag
 from quadftc_flight.flight import VECTORS, Flight, unknown_flight
-from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, find_scenario, load_scenario
-from quadftc_flight.summary import summary
 from quadftc_report.claims import judge
 from quadftc_report.comparison import Comparison, compare
 
@@ -53,21 +50,6 @@ def paper_scenario(name: str, *overrides: str) -> Scenario:
     return load_scenario(find_scenario(name), [f"rate={RATE} Hz", *overrides])
 
 
-def made_run(scenario: Scenario, scheme: str, flight: Flight) -> RecordedRun:
-    chosen = scenario.scheme(scheme)
-    return RecordedRun(
-        name=f"{scenario.name}-{scheme}",
-        path=Path(scheme),
-        bag=Bag(Path(scheme)),
-        scenario=scenario,
-        scheme=chosen,
-        parameters={},
-        flight=flight,
-        summary=summary(flight, scenario, chosen, None),
-        versions={},
-    )
-
-
 def comparison(name: str, size: float = 1.0, overrides=(), **changes) -> Comparison:
     """The two runs of a scenario of the paper; ``changes``: what to add to columns of one run's flight."""
     scenario = paper_scenario(name, *overrides)
@@ -75,7 +57,7 @@ def comparison(name: str, size: float = 1.0, overrides=(), **changes) -> Compari
     for scheme in ("proposed", "conventional"):
         flight = ideal_flight(name, scheme == "proposed", size)
         added = {vector: getattr(flight, vector) + value for vector, value in changes.get(scheme, {}).items()}
-        runs.append(made_run(scenario, scheme, dataclasses.replace(flight, **added)))
+        runs.append(recorded_run(scenario, scheme, dataclasses.replace(flight, **added)))
     return compare(runs)[0]
 
 
@@ -165,7 +147,7 @@ def test_run_that_was_cut_short_gets_no_verdict(three):
     scenario = three[0].runs[0].scenario
     rows = {field.name: getattr(three[0].runs[1].flight, field.name) for field in dataclasses.fields(Flight)}
     short = Flight(**{name: column[:800] for name, column in rows.items()})
-    runs = (three[0].runs[0], made_run(scenario, "conventional", short))
+    runs = (three[0].runs[0], recorded_run(scenario, "conventional", short))
     found = judge(Comparison(runs, NAMES[0]))
     assert found[0].holds is None
     assert "was recorded for 40.0 s of 80 s only" in found[0].reason

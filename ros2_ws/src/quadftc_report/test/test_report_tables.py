@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_runs import recorded_run
 
-from quadftc_bags.bag import Bag
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight
@@ -16,7 +15,6 @@ from quadftc_flight.live_run import LiveRun
 from quadftc_flight.metrics import look_up
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, parse_scenario
-from quadftc_flight.summary import summary
 from quadftc_model import samples
 from quadftc_report.comparison import Comparison, compare, is_ideal, list_injections, metric, tell_run
 from quadftc_report.headline import headline
@@ -44,20 +42,8 @@ HEALTHY = "name: calm\nduration: 0.5 s\nrate: 100 Hz\nvehicle: qball_x4\nschemes
 
 
 def made_run(scenario: Scenario, scheme: str, flight: Flight | None = None, **changes) -> RecordedRun:
-    chosen = scenario.scheme(scheme)
-    flown = flight or fly(scenario, scheme)
-    flown = dataclasses.replace(flown, **changes)
-    return RecordedRun(
-        name=f"{scenario.name}-{scheme}",
-        path=Path(scheme),
-        bag=Bag(Path(scheme)),
-        scenario=scenario,
-        scheme=chosen,
-        parameters={},
-        flight=flown,
-        summary=summary(flown, scenario, chosen, None),
-        versions={},
-    )
+    flown = dataclasses.replace(flight or fly(scenario, scheme), **changes)
+    return recorded_run(scenario, scheme, flown)
 
 
 def rows_until(flight: Flight, count: int) -> Flight:

@@ -159,14 +159,7 @@ def test_fault_that_is_no_number_shows_as_such_in_the_truth(injector):
         ({"kind": "bais"}, "bais.*bias"),
         ({"kind": ""}, "fault"),
         ({"kind": "loss", "axes": ["1"]}, "channel = 'rotor': only in free flight"),
-        ({**BIAS, "channel": "attitud"}, "channel = 'attitud': expected one of attitude, gyro"),
-        ({**BIAS, "channel": "imu"}, "channel = 'imu': bias can be on attitude"),
-        ({**BIAS, "axes": ["north"]}, "axes: 'north' is no axis; expected roll, pitch, yaw or x, y, z"),
-        ({"kind": "dropout", "channel": "imu", "axes": ["x"]}, "dropout takes the whole channel"),
-        ({**BIAS, "duration": -1.0}, "duration = -1 s: must not be negative"),
         ({**BIAS, "duration": math.nan}, "duration = nan s: must not be negative"),
-        ({**BIAS, "duration": 1e-12}, "duration = 1e-12 s: must be positive"),
-        ({**BIAS, "start": -0.1}, "start = -0.1 s: must not be negative"),
         ({**BIAS, "start": math.nan}, "start: nan: expected a number in s, not NaN"),
         ({**BIAS, "start": math.inf}, "must be"),
         ({**BIAS, "parameter_values": []}, "parameter_values: 0 numbers for 1 parameter_names"),
@@ -178,11 +171,6 @@ def test_fault_that_is_no_number_shows_as_such_in_the_truth(injector):
             "parameter_names: value is given twice",
         ),
         ({**BIAS, "parameter_values": [math.nan]}, "value: nan: expected a number in rad, not NaN"),
-        ({**BIAS, "parameter_values": [math.inf]}, "value = inf rad: must be finite"),
-        (
-            {"kind": "dropout", "parameter_names": ["probability"], "parameter_values": [1.5]},
-            r"probability = 1.5 1: must be within \[0, 1\]",
-        ),
     ],
 )
 def test_injection_that_cannot_be_done_is_answered_with_the_reason(injector, request_fields, reason):
@@ -255,28 +243,3 @@ def test_reset_begins_the_schedule_anew_and_forgets_what_was_injected(lockstep_b
     assert injector.bench.call(Trigger, "fault_injector/reset").success
     injector.step()
     assert injector.injected() == pytest.approx([0.0, 0.0, 0.02], abs=1e-12)
-
-
-def test_stamps_that_go_back_in_lockstep_begin_a_new_flight(lockstep_bench):
-    injector = Injector(lockstep_bench, faults=["noise channel=gyro sigma=0.1"], seed=3)
-    injector.step(5)
-    injector.sent = 0
-    injector.step(5)
-    assert injector.imu[:5] == injector.imu[5:]
-
-
-def test_stamp_that_repeats_in_real_time_is_refused_and_counted(bench):
-    injector = Injector(bench)
-    injector.step(2)
-    injector.send(imu_message(FIRST_NS + PERIOD_NS))
-    bench.until(lambda: "fault_injector: samples" in injector.status)
-    bench.until(lambda: injector.status["fault_injector: samples"].level == DiagnosticStatus.WARN)
-    counted = {pair.key: pair.value for pair in injector.status["fault_injector: samples"].values}
-    assert counted == {"plant/imu: stamp repeated or went back": "1"}
-    injector.step()
-    assert [stamp_of(message) for message in injector.imu] == [FIRST_NS + k * PERIOD_NS for k in range(3)]
-
-
-def test_wrong_scheduled_fault_is_refused_by_name(bench):
-    with pytest.raises(ValueError, match="fault 'bias axes=up': axes: 'up' is no axis"):
-        bench.run(FaultInjectorNode, faults=["bias axes=up"])

@@ -59,14 +59,6 @@ def test_disturbance_is_told_over_the_true_inertia():
     np.testing.assert_allclose(told, [0.5, 4.0, 0.5], rtol=1e-12)
 
 
-def test_same_seed_gives_the_same_flight_and_another_seed_another():
-    rates = [
-        [emission.sample.body_rate for emission in flown(simulator(seed=seed))[1:]] for seed in (1, 1, 2)
-    ]
-    np.testing.assert_array_equal(rates[0], rates[1])
-    assert np.all(np.array(rates[0]) != np.array(rates[2]))
-
-
 @pytest.mark.parametrize("period", [0, -1])
 def test_period_that_is_not_positive_is_refused(period):
     with pytest.raises(ValueError, match=r"period = .* s: must be positive"):

@@ -1,23 +1,20 @@
 """The conditions of the observers: their numbers against independent ones, and what breaks them."""
 
-import dataclasses
 import importlib.metadata
 import math
 
 import numpy as np
 import pytest
+from easy_circumstances import DT, QBALL, QUIET, TIME, circumstances, named
 
 from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_model.rotations import euler_rates
-from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.conditions import (
     Bound,
-    Circumstances,
     Condition,
-    Series,
     Trace,
     Verdict,
     conditions_of,
@@ -32,41 +29,6 @@ from quadftc_theory.sliding_mode_conditions import (
     leak_time_constant,
     smallest_ramp,
 )
-
-QBALL = load_vehicle("qball_x4")
-DT = 0.004
-TIME = DT * np.arange(2500)
-QUIET = np.zeros((len(TIME), 3))
-
-
-def circumstances(disturbance=QUIET, error=QUIET, **changes):
-    """Ten easy seconds."""
-
-    def given(value, unit):
-        return Bound(value, unit, "given")
-
-    easy = Circumstances(
-        vehicle=QBALL,
-        dt=DT,
-        duration=10.0,
-        faulty_channels=("attitude",),
-        tilt=given(0.1, "rad"),
-        body_rate=given(0.2, "rad/s"),
-        acceleration=given((0.1, 0.1, 0.1), "rad/s^2"),
-        fault=given(0.05, "rad"),
-        fault_growth=given(0.01, "rad/s"),
-        fault_length=given(5.0, "s"),
-        gyro_bias=given(0.0, "rad/s"),
-        gyro_noise=given(0.0, "rad/sqrt(s)"),
-        attitude_noise=given(0.0, "rad"),
-        disturbance=Series(disturbance, "rad/s^2", "given"),
-        disturbance_error=Series(error, "rad/s^2", "given"),
-    )
-    return dataclasses.replace(easy, **changes)
-
-
-def named(conditions, start):
-    return next(item for item in conditions if item.name.startswith(start))
 
 
 @pytest.mark.parametrize("registry", [fault_observers, disturbance_observers], ids=["fault", "disturbance"])

@@ -4,45 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from easy_circumstances import DT, QBALL, QUIET, TIME, circumstances, named
 
 from quadftc_control.controller import controllers
 from quadftc_control.controllers.indi import Indi
 from quadftc_control.controllers.ismc import Ismc
 from quadftc_control.controllers.smc import Smc
-from quadftc_model.vehicle import load_vehicle
-from quadftc_theory.conditions import Bound, Circumstances, Series, Trace, Verdict, judge
-
-QBALL = load_vehicle("qball_x4")
-DT = 0.004
-TIME = DT * np.arange(2500)
-QUIET = np.zeros((len(TIME), 3))
-
-
-def circumstances(disturbance=QUIET, error=QUIET):
-    def given(value, unit):
-        return Bound(value, unit, "given")
-
-    return Circumstances(
-        vehicle=QBALL,
-        dt=DT,
-        duration=10.0,
-        faulty_channels=(),
-        tilt=given(0.1, "rad"),
-        body_rate=given(0.2, "rad/s"),
-        acceleration=given((0.1, 0.1, 0.1), "rad/s^2"),
-        fault=given(0.0, "rad"),
-        fault_growth=given(np.inf, "rad/s"),
-        fault_length=given(0.0, "s"),
-        gyro_bias=given(0.0, "rad/s"),
-        gyro_noise=given(0.0, "rad/sqrt(s)"),
-        attitude_noise=given(0.0, "rad"),
-        disturbance=Series(disturbance, "rad/s^2", "given"),
-        disturbance_error=Series(error, "rad/s^2", "given"),
-    )
-
-
-def named(conditions, start):
-    return next(item for item in conditions if item.name.startswith(start))
+from quadftc_theory.conditions import Trace, Verdict, judge
 
 
 def test_every_controller_holds_in_calm_air():
