@@ -115,19 +115,6 @@ def test_file_that_is_no_log_fails_with_the_reason(client, folder):
     assert sorted(path.name for path in (folder / key).rglob("*")) == ["in", "job.json", "notes.txt"]
     for path in (f"{key}/job.json", f"{key}/in/notes.txt", f"{key}/..%2f{key}%2fjob.json", "x/verdict.json"):
         assert client.get(f"/logs/{path}").status_code == 404, path
-    raw = client.build_request("GET", "/")  # as bytes, so that no client makes the path plain
-    raw.url = raw.url.copy_with(raw_path=f"/logs/{key}/../../../../../etc/passwd".encode())
-    response = client.send(raw)
-    assert response.status_code == 404
-    assert "root:" not in response.text
-
-
-def test_log_that_is_too_large_leaves_nothing_behind(client, folder):
-    before = set(folder.iterdir())
-    large = bytes((1 << 20) + 1)
-    assert post(client, "large", large).status_code == 413
-    assert post(client, "large", (large[:4096] for _ in range(257))).status_code == 413  # length not told
-    assert set(folder.iterdir()) == before
 
 
 MAPPING = """

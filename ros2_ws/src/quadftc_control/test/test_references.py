@@ -25,22 +25,19 @@ def sized(name, **values):
 
 
 @EVERY_REFERENCE
-def test_sample_is_three_times_three_finite_numbers(name):
-    for time in TIMES:
-        for array in sized(name).sample(float(time)):
-            assert array.shape == (3,)
-            assert array.dtype == np.float64
-            assert np.all(np.isfinite(array))
-
-
-@EVERY_REFERENCE
-def test_batch_of_times_equals_the_loop(name):
-    column = TIMES[:, None].copy()
+def test_many_times_and_jax_with_all_of_the_law_unknown_equal_the_loop(name):
+    jax = pytest.importorskip("jax")
+    law, column = sized(name), TIMES[:, None].copy()
     column.setflags(write=False)
-    batch = sized(name).sample(column)
+    with jax.enable_x64(True):
+        unknown = jax.jit(lambda values, times: with_numbers(law, values).sample(times))
+        compiled = unknown(numbers_of(law), column)
     for index, time in enumerate(TIMES):
-        for many, single in zip(batch, sized(name).sample(float(time)), strict=True):
-            np.testing.assert_allclose(many[index], single, rtol=1e-12, atol=1e-14)
+        for single, *many in zip(law.sample(float(time)), law.sample(column), compiled, strict=True):
+            assert (single.shape, single.dtype) == ((3,), np.float64)
+            assert np.all(np.isfinite(single))
+            for each in many:
+                np.testing.assert_allclose(each[index], single, rtol=1e-11, atol=1e-13)
 
 
 @EVERY_REFERENCE
@@ -50,18 +47,6 @@ def test_rates_and_accelerations_are_the_derivatives(name):
         before, now, after = (sized(name).sample(float(time) + offset) for offset in (-step, 0.0, step))
         np.testing.assert_allclose(now.rates, (after.angles - before.angles) / (2 * step), atol=1e-8)
         np.testing.assert_allclose(now.accelerations, (after.rates - before.rates) / (2 * step), atol=1e-8)
-
-
-@EVERY_REFERENCE
-def test_jax_gives_the_same_numbers_with_all_of_the_law_unknown(name):
-    jax = pytest.importorskip("jax")
-    law = sized(name)
-    numbers = numbers_of(law)
-    with jax.enable_x64(True):
-        unknown = jax.jit(lambda values, time: with_numbers(law, values).sample(time))
-        for found, expected in zip(unknown(numbers, TIMES[:, None]), law.sample(TIMES[:, None]), strict=True):
-            np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
-        assert unknown(numbers, 7.3).angles.shape == (3,)
 
 
 @EVERY_REFERENCE

@@ -26,7 +26,6 @@ from quadftc_sim.assembly import simulator_from
 
 DEG = math.pi / 180.0
 PAPER = ("paper_faults", "paper_constant_disturbance", "paper_varying_disturbance")
-MEMS = ("mems_faults", "mems_constant_disturbance", "mems_varying_disturbance")
 CHECKED = [  # scenario, scheme
     *((name, "proposed") for name in PAPER),
     ("paper_faults", "conventional"),
@@ -231,37 +230,3 @@ def test_the_mems_scenario_asks_more_than_the_papers_observer_can_give():
     checks = summary(flight, scenario, scenario.scheme("proposed"), 1.0)["checks"]
     assert checks
     assert not any(check["passed"] for check in checks)
-
-
-def numbers_in(part, path=""):
-    """All numbers of nested mappings and lists, by path."""
-    pairs = part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ()
-    for key, each in pairs:
-        if isinstance(each, (int, float)) or each is None:
-            yield f"{path}.{key}", each
-        else:
-            yield from numbers_in(each, f"{path}.{key}")
-
-
-NUMPY_FLOWN = [
-    ("paper_varying_disturbance", "proposed", 6.0),
-    *(
-        pytest.param(name, scheme, None, marks=pytest.mark.thorough)
-        for name, scheme in [*((name, "proposed") for name in PAPER), *((n, "supervised") for n in MEMS)]
-    ),
-]
-
-
-@pytest.mark.parametrize(("name", "scheme", "duration"), NUMPY_FLOWN)
-def test_metrics_in_c_are_those_of_numpy(name, scheme, duration):
-    scenario = load_scenario(find_scenario(name))
-    scenario = scenario if duration is None else with_duration(scenario, duration)
-    found, wanted = (
-        dict(numbers_in(summary(fly(scenario, scheme, engine=each), scenario, scenario.scheme(scheme), 1.0)))
-        for each in ("c", "numpy")
-    )
-    assert found.keys() == wanted.keys()
-    assert len(found) > 20
-    for path, number in wanted.items():
-        same = found[path] is None if number is None else found[path] == pytest.approx(number, 1e-9, 1e-9)
-        assert same, path

@@ -5,8 +5,6 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from quadftc_control.controller import controller_from
 from quadftc_control.guidance import flight_guidance_from, stand_guidance_from
@@ -14,7 +12,6 @@ from quadftc_fdi.disturbance_observer import disturbance_observer_from
 from quadftc_fdi.fault_observer import fault_observer_from
 from quadftc_flight.checks import refuse_wrong_checks
 from quadftc_flight.scenario import (
-    Scenario,
     ScenarioError,
     estimator_for,
     find_scenario,
@@ -446,64 +443,3 @@ def test_scenarios_are_found_by_name_and_by_path(tmp_path, monkeypatch):
         find_scenario("yours.yaml")
     with pytest.raises(ScenarioError, match="Is a directory"):
         load_scenario(tmp_path)
-
-
-def accepted_or_refused(text: str, overrides=()) -> None:
-    try:
-        scenario = parse_scenario(text, "tried.yaml", overrides)
-    except ScenarioError as error:
-        for line in str(error).splitlines():
-            assert line.startswith("tried.yaml:")
-    else:
-        assert isinstance(scenario, Scenario)
-        for scheme in scenario.schemes:  # then every part can really be built
-            parameters = node_parameters(scenario, scheme)
-            simulator_from(parameters["plant"])
-            injector_from(parameters["fault_injector"])
-            disturbance_observer_from(parameters["disturbance_observer"])
-            fault_observer_from(parameters["fault_observer"])
-            controller_from(parameters["controller"])
-            stand_guidance_from(parameters["reference"])
-
-
-scalars = st.one_of(
-    st.sampled_from(
-        ["", "~", "1", "-1", "0", "1e400", ".inf", "-.inf", ".nan", "true", "1 deg", "2 s", "[]", "{}"]
-    ),
-    st.sampled_from(["roll", "attitude", "imu", "bias", "none", "&a [*a]", "!!int x", "2001-01-01", "0x7f"]),
-    st.integers().map(str),
-    st.floats().map(str),
-    st.text(max_size=8),
-)
-
-
-@given(st.text())
-def test_any_text_is_a_scenario_or_refused(text):
-    accepted_or_refused(text)
-
-
-@given(st.data(), scalars)
-def test_any_value_in_place_of_another_is_accepted_or_refused(data, value):
-    lines = TEXT.splitlines()
-    at = data.draw(st.integers(0, len(lines) - 1))
-    words = lines[at].split(" ")
-    word = data.draw(st.integers(0, len(words) - 1))
-    words[word] = value
-    accepted_or_refused("\n".join([*lines[:at], " ".join(words), *lines[at + 1 :]]))
-
-
-paths = st.lists(
-    st.sampled_from(
-        [
-            *("faults", "schemes", "ours", "observer", "kind", "0", "1", "value", "start", "stop", "checks"),
-            *("metric", "plant", "sensors", "rate", "seed", "axes"),
-        ]
-    ),
-    min_size=1,
-    max_size=5,
-).map(".".join)
-
-
-@given(st.lists(st.tuples(paths, scalars), min_size=1, max_size=3))
-def test_any_override_is_accepted_or_refused(pairs):
-    accepted_or_refused(TEXT, [f"{path}={value}" for path, value in pairs])

@@ -90,16 +90,6 @@ def test_lockstep_advances_for_the_torque_of_its_sample_only(lockstep_bench):
     assert stamps(flight.imu) == [FIRST_NS + k * PERIOD_NS for k in range(3)]
 
 
-def test_torque_turns_the_vehicle_as_its_inertia_says(lockstep_bench):
-    flight = Flight(lockstep_bench)
-    flight.fly(1)
-    flight.answer((0.01, 0.0, 0.0))
-    lockstep_bench.until(lambda: len(flight.truth["plant/rate"]) == 2)
-    inertia = 0.03  # kg m², Qball-X4 in roll
-    wanted = [0.01 / inertia * 0.004, 0.0, 0.0]  # less what drag takes within a period
-    assert values(flight.truth["plant/rate"][1]) == pytest.approx(wanted, rel=2e-3, abs=1e-9)
-
-
 def test_condition_of_rotors_that_is_no_number_is_counted_and_not_used(lockstep_bench):
     kinds = {"plant": "free_flight", "plant_kind": "free_flight", "vehicle": "x500"}
     node = lockstep_bench.run(PlantNode, start_when_connected=False, **kinds)
