@@ -210,24 +210,6 @@ while True:
 """
 
 
-@pytest.mark.parametrize("lockstep", [False, True])
-def test_killed_recorder_loses_less_than_a_second(tmp_path, lockstep):
-    code = CHILD.format(here=str(Path(__file__).parent))
-    arguments = [sys.executable, "-c", code, str(tmp_path / "run"), str(lockstep)]
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as child:
-        written = [int(child.stdout.readline())]
-        while written[-1] - written[0] < 2_500_000_000:
-            written.append(int(child.stdout.readline()))
-        child.send_signal(signal.SIGKILL)
-        written += [int(line) for line in child.stdout if line.endswith("\n")]
-
-    stored = [message.log_time for message in stored_messages(tmp_path / "run" / "run_0.mcap")]
-    information = YAML(typ="safe").load(tmp_path / "run" / "metadata.yaml")
-    assert stored == written[: len(stored)]
-    assert written[-1] - stored[-1] < 1_000_000_000
-    assert information["rosbag2_bagfile_information"]["relative_file_paths"] == ["run_0.mcap"]
-
-
 FULL_DISK = """
 import json, resource, sys, time
 from pathlib import Path

@@ -18,7 +18,6 @@ from quadftc_bags.writer import BagWriter
 from quadftc_fdi.fault_observers.none import NoDiagnosis
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_flight.flight import Flight, flight_from_bag
-from quadftc_flight.run_files import RunError
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import STARTING, ImuSample
 from quadftc_replay.diagnose import diagnose, flight_of, true_fault
@@ -309,14 +308,6 @@ def test_parameter_file_and_summary_say_what_was_done(replayed):
     summary = json.loads((directory / "summary.json").read_text())
     assert (summary["samples"], summary["seed"], summary["topic"]) == (COUNT, 2, "/imu/data")
     assert summary["metrics"]["fault_windows"][0]["axes"] == ["roll"]
-
-
-def test_replay_that_is_there_is_replaced_only_by_force(bag, tmp_path):
-    options = ReplayOptions(observer="none")
-    replay(bag, options, tmp_path)
-    with pytest.raises(RunError, match="exists"):
-        replay(bag, options, tmp_path)
-    assert replay(bag, options, tmp_path, force=True)["samples"] == COUNT
 
 
 def test_recording_is_never_replaced_by_its_replay(bag, tmp_path):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from recorded_runs import recorded_run
 
-from quadftc_bags.bag import BagError
 from quadftc_flight.run_directory import MissingPartError, RecordedRun
 from quadftc_flight.scenario import node_parameters, parse_scenario
 from quadftc_flight.summary import summary
@@ -249,12 +248,6 @@ def test_place_that_will_not_do_is_refused_before_anything_is_read(tmp_path, out
     (tmp_path / "taken_figures").touch()
     with pytest.raises(ReportError, match=words):
         write_report([tmp_path / "no_such_run"], tmp_path / out)
-
-
-def test_wrong_run_leaves_nothing_behind(tmp_path):
-    with pytest.raises(BagError, match="no_such_run"):
-        write_report([tmp_path / "no_such_run"], tmp_path / "new" / "report.html")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_run_whose_component_is_not_installed_does_not_spoil_the_others(tmp_path, monkeypatch):

@@ -1,6 +1,5 @@
 """Processes of a launcher: all of them end, none but them, and the worst exit code counts."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -21,25 +20,6 @@ signal.signal(signal.SIGINT, lambda *_: sys.exit({code}))
 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
 Path({file!r}).touch()
 time.sleep(60)
-"""
-LAUNCHER = """
-import sys, time
-from pathlib import Path
-from quadftc_ros.children import Children
-children = Children()
-children.start({"node": [sys.executable, "-c", sys.argv[1]]})
-Path(sys.argv[2]).write_text(str(children.process_ids()["node"]))
-time.sleep(60)
-"""
-NODE = """
-from pathlib import Path
-from rclpy.node import Node
-from quadftc_ros.executor import run_node
-class Quiet(Node):
-    def __init__(self):
-        super().__init__("quiet")
-        Path({file!r}).touch()
-run_node(Quiet)
 """
 
 
@@ -121,13 +101,3 @@ def test_starting_leaves_the_signals_of_this_process_as_they_were(children, tmp_
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
     children.start({"one": python("pass")})
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before
-
-
-def test_nodes_do_not_outlive_a_launcher_that_was_killed(tmp_path):
-    ready, note = tmp_path / "ready", tmp_path / "pid"
-    command = [*python(LAUNCHER), NODE.format(file=str(ready)), str(note)]
-    with subprocess.Popen(command, env=os.environ) as launcher:
-        wait_for(ready.exists)
-        launcher.kill()
-    pid = int(note.read_text())
-    wait_for(lambda: not alive(pid))

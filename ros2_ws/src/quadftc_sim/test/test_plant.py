@@ -136,18 +136,6 @@ def test_thrust_follows_a_step_with_the_time_constant_of_the_vehicle():
     assert share == pytest.approx(1.0 - np.exp(-20 * DT / vehicle.rotors.time_constant), rel=1e-6)
 
 
-@pytest.mark.parametrize("substeps", [0, 1001])
-def test_number_of_substeps_out_of_bounds_is_refused(substeps):
-    with pytest.raises(ValueError, match=rf"substeps = {substeps} 1: must be within \[1, 1000\]"):
-        AttitudeStand(vehicle=load_vehicle("qball_x4"), substeps=substeps)
-
-
-@pytest.mark.parametrize("factor", [(0.1, 1.0, 1.0), (1.0, 1.0, 6.0)])
-def test_inertia_out_of_bounds_is_refused(factor):
-    with pytest.raises(ValueError, match=r"inertia_factor = .* 1: must be within \[0.2, 5\]"):
-        AttitudeStand(vehicle=load_vehicle("qball_x4"), inertia_factor=factor)
-
-
 def test_bandwidth_without_a_lag_is_refused():
     with pytest.raises(ValueError, match="motor_bandwidth = 20 rad/s: motor_lag is false"):
         AttitudeStand(vehicle=load_vehicle("qball_x4"), motor_bandwidth=20.0)

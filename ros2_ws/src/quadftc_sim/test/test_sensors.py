@@ -183,8 +183,3 @@ def test_sample_comes_out_as_many_steps_later(delay):
         state, output = sensor.step(state, inputs, 0.004)
         out.append(output.sample.body_rate[0] if output.there else None)
     assert out == [None] * delay + [float(index) for index in range(6 - delay)]
-
-
-def test_negative_noise_is_refused():
-    with pytest.raises(ValueError, match=r"gyro_noise = -1.0 rad/sqrt\(s\): must be within \[0, inf\]"):
-        ImuSensor(gyro_noise=-1.0)
