@@ -43,6 +43,11 @@ def flown(law: Any, sequence: list[Any], init: Any = None, step: Any = None) -> 
     return found
 
 
+def outputs_of(law: Any, sequence: list[Any]) -> list[Any]:
+    """Return the output at each of a sequence of inputs; the first step takes no time."""
+    return [output for _, output in flown(law, sequence)]
+
+
 def flown_in_jax(law: Any, sequence: list[Any]) -> list[Any]:
     """The same, compiled with the numbers of the law as arguments."""
     import jax

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from law_contract import assert_contract
+from law_contract import assert_contract, outputs_of
 
 from quadftc_control.attitude_loop import AttitudeLoop, AttitudeLoopInputs
 from quadftc_control.controller import Controller, controllers
@@ -15,7 +15,7 @@ from quadftc_model.samples import AttitudeCommand, AttitudeReference, Controller
 from quadftc_model.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("hummingbird")
-DT, COUNT, LANES = 0.004, 40, 4
+COUNT, LANES = 40, 4
 EVERY = pytest.mark.parametrize("name", controllers.names())
 WHERE = pytest.mark.parametrize("flies", [False, True])
 
@@ -46,23 +46,10 @@ def sequence_of(flies, lane=0):
     return found
 
 
-def flown(law, sequence):
-    """All outputs over a sequence of inputs; the first step takes no time."""
-    state, outputs = law.init(sequence[0]), []
-    for index, inputs in enumerate(sequence):
-        state, output = law.step(state, inputs, DT if index else 0.0)
-        outputs.append(output)
-    return outputs
-
-
-def as_table(outputs):
-    """Torque, error, sliding variable and squared speeds over time."""
-    return np.array(
-        [
-            np.concatenate([*each.output[:3], [] if each.speeds is None else np.square(each.speeds)], -1)
-            for each in outputs
-        ]
-    )
+def as_table(sequence):
+    """Torque, error, sliding variable and squared speeds of a free flight over time."""
+    outputs = outputs_of(loop(), sequence)
+    return np.array([np.concatenate([*each.output[:3], np.square(each.speeds)], -1) for each in outputs])
 
 
 @EVERY
@@ -77,7 +64,7 @@ def test_loop_keeps_the_contract_of_a_law(name, flies):
 def test_test_stand_gets_the_torque_of_the_controller_bit_for_bit(name):
     law, sequence = loop(name, flies=False), sequence_of(flies=False)
     seen = [ControllerInputs(each.imu, each.command.attitude, each.disturbance) for each in sequence]
-    for found, expected in zip(flown(law, sequence), flown(law.controller, seen), strict=True):
+    for found, expected in zip(outputs_of(law, sequence), outputs_of(law.controller, seen), strict=True):
         assert found.speeds is None
         for one, other in zip(found.output, expected, strict=True):
             np.testing.assert_array_equal(one, other)
@@ -86,7 +73,7 @@ def test_test_stand_gets_the_torque_of_the_controller_bit_for_bit(name):
 @EVERY
 def test_speeds_give_the_torque_that_is_told_and_the_thrust_where_it_fits(name):
     for inputs, (output, speeds) in zip(
-        sequence_of(flies=True), flown(loop(name), sequence_of(flies=True)), strict=True
+        sequence_of(flies=True), outputs_of(loop(name), sequence_of(flies=True)), strict=True
     ):
         torque, thrust = wrench_from_speeds(VEHICLE, speeds, inputs.effectiveness)
         np.testing.assert_allclose(torque / VEHICLE.authority, output.torque / VEHICLE.authority, atol=1e-7)
@@ -98,16 +85,16 @@ def test_speeds_give_the_torque_that_is_told_and_the_thrust_where_it_fits(name):
 def test_speeds_that_are_not_measured_say_nothing():
     sequence = [each._replace(measured=np.bool_(False)) for each in sequence_of(flies=True)]
     other = [each._replace(speeds=np.full(4, np.nan)) for each in sequence]
-    np.testing.assert_array_equal(as_table(flown(loop(), sequence)), as_table(flown(loop(), other)))
+    np.testing.assert_array_equal(as_table(sequence), as_table(other))
     measured = [each._replace(measured=np.bool_(True)) for each in sequence]
-    assert np.max(np.abs(as_table(flown(loop(), sequence)) - as_table(flown(loop(), measured)))) > 1e-3
+    assert np.max(np.abs(as_table(sequence) - as_table(measured))) > 1e-3
 
 
 def test_no_effectiveness_means_healthy_rotors():
     sequence = sequence_of(flies=True)
     healthy = [each._replace(effectiveness=np.ones(4)) for each in sequence]
     unknown = [each._replace(effectiveness=None) for each in sequence]
-    np.testing.assert_array_equal(as_table(flown(loop(), healthy)), as_table(flown(loop(), unknown)))
+    np.testing.assert_array_equal(as_table(healthy), as_table(unknown))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

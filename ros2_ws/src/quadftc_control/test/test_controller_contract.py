@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from law_contract import assert_contract
+from law_contract import assert_contract, outputs_of
 from sampling import sampled
 
 from quadftc_compile.engine import CEngine
@@ -54,15 +54,6 @@ def lane(inputs, index):
     )
 
 
-def flown(law, sequence):
-    """All outputs over a sequence of inputs; the first step takes no time."""
-    state, outputs = law.init(sequence[0]), []
-    for index, inputs in enumerate(sequence):
-        state, output = law.step(state, inputs, 0.0 if index == 0 else DT)
-        outputs.append(output)
-    return outputs
-
-
 def closed_loop(law, angles, duration):
     """Angles over time (n, 3) of a vehicle that starts at ``angles`` and shall be level."""
     vehicle, zeros = law.vehicle, np.zeros(3)
@@ -88,7 +79,7 @@ def closed_loop(law, angles, duration):
 @EVERY_VEHICLE
 def test_outputs_have_their_shapes_and_types_and_are_finite(name, vehicle):
     sequence = [lane(inputs_at(index), 0) for index in range(COUNT)]
-    for output in flown(controller(name, vehicle), sequence):
+    for output in outputs_of(controller(name, vehicle), sequence):
         for array in output:
             assert array.shape == (3,)
             assert np.all(np.isfinite(array))
@@ -115,7 +106,7 @@ ANGLE = st.floats(-4.0, 4.0)
 def test_torque_is_attainable_for_wild_inputs(name, vehicle, samples):
     law = controller(name, vehicle)
     sequence = [inputs_of(sample[0], sample[1], list(sample[2:5]), sample[5]) for sample in samples]
-    for output in flown(law, sequence):
+    for output in outputs_of(law, sequence):
         assert np.all(np.isfinite(output.torque))
         moves = law.vehicle.allocation @ output.torque
         assert np.all(np.abs(moves) <= law.vehicle.command_room * (1.0 + 1e-9))
@@ -132,9 +123,9 @@ def with_rotors(inputs, effectiveness, measured=False):
 @EVERY_CONTROLLER
 def test_effectiveness_of_one_changes_nothing_and_less_of_it_gives_a_finite_torque(name):
     law, sequence = controller(name), [inputs_at(index) for index in range(COUNT)]
-    plain = flown(law, sequence)
+    plain = outputs_of(law, sequence)
     healthy, weak = (
-        flown(law, [with_rotors(each, effectiveness) for each in sequence])
+        outputs_of(law, [with_rotors(each, effectiveness) for each in sequence])
         for effectiveness in (np.ones(4), np.array([0.6, 1.0, 1.0, 0.0]))
     )
     np.testing.assert_array_equal([each.torque for each in healthy], [each.torque for each in plain])
@@ -152,14 +143,14 @@ def test_saturation_is_told_where_too_much_is_asked_for(name):
     law = controller(name)
     still = inputs_of(np.zeros(3), np.zeros(3), [np.zeros(3)] * 3, np.zeros(3))
     turning = inputs_of(np.zeros(3), np.array([0.0, 0.0, 1e3]), [np.zeros(3)] * 3, np.zeros(3))
-    assert flown(law, [still])[0].saturated.tolist() == [False, False, False]
-    assert flown(law, [still, turning])[1].saturated.tolist() == [False, False, True]
+    assert outputs_of(law, [still])[0].saturated.tolist() == [False, False, False]
+    assert outputs_of(law, [still, turning])[1].saturated.tolist() == [False, False, True]
 
 
 @EVERY_CONTROLLER
 def test_level_vehicle_on_its_reference_needs_no_torque(name):
     still = inputs_of(np.zeros(3), np.zeros(3), [np.zeros(3)] * 3, np.zeros(3))
-    assert [output.torque.tolist() for output in flown(controller(name), [still] * 3)] == [
+    assert [output.torque.tolist() for output in outputs_of(controller(name), [still] * 3)] == [
         [0.0, 0.0, 0.0]
     ] * 3
 
@@ -167,7 +158,7 @@ def test_level_vehicle_on_its_reference_needs_no_torque(name):
 @EVERY_CONTROLLER
 def test_error_is_the_attitude_minus_the_reference_the_short_way_round(name):
     angles, wanted = np.array([0.1, -0.2, 3.0]), np.array([0.3, 0.1, -3.0])
-    output = flown(
+    output = outputs_of(
         controller(name), [inputs_of(angles, np.zeros(3), [wanted, np.zeros(3), np.zeros(3)], np.zeros(3))]
     )
     np.testing.assert_allclose(output[0].error, [-0.2, -0.3, 6.0 - 2.0 * np.pi], atol=1e-12)
@@ -186,7 +177,7 @@ def test_torque_is_continuous_in_attitude_and_reference(name):
     for distance in (0.0, 0.3):
         wanted = angles - distance
         torques = [
-            flown(law, [inputs_of(angles + shift, rate, [wanted, zeros, zeros], zeros)] * 2)[1].torque
+            outputs_of(law, [inputs_of(angles + shift, rate, [wanted, zeros, zeros], zeros)] * 2)[1].torque
             for shift in (0.0, 1e-7)
         ]
         assert np.max(np.abs(torques[1] - torques[0]) / law.vehicle.inertia) < 1e-3

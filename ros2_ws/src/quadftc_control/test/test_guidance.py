@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from law_contract import assert_contract, assert_step_is_traced
+from law_contract import assert_contract, assert_step_is_traced, outputs_of
 
 from quadftc_control.guidance import (
     FlightGuidance,
@@ -71,15 +71,6 @@ LAWS = {
 EVERY = pytest.mark.parametrize("case", LAWS.values(), ids=LAWS)
 
 
-def flown(law, sequence):
-    """All outputs over a sequence of inputs; the first step takes no time."""
-    state, outputs = law.init(sequence[0]), []
-    for index, inputs in enumerate(sequence):
-        state, output = law.step(state, inputs, DT if index else 0.0)
-        outputs.append(output)
-    return outputs
-
-
 def leaves(tree):
     return [each for part in tree for each in leaves(part)] if isinstance(tree, tuple) else [np.asarray(tree)]
 
@@ -94,7 +85,7 @@ def test_guidance_keeps_the_contract_of_a_law(case):
 def test_references_are_followed_and_one_that_is_absurd_leaves_the_last():
     law = StandGuidance(references=(*REFERENCES, ABSURD))
     times = [0.5, 0.999, 1.0005, 1.001, 1.5]
-    found = flown(law, times)
+    found = outputs_of(law, times)
     for index in (0, 1, 4):
         np.testing.assert_array_equal(found[index].attitude, combined(law.references, times[index]))
     np.testing.assert_array_equal(found[2].attitude, found[1].attitude)
@@ -102,13 +93,13 @@ def test_references_are_followed_and_one_that_is_absurd_leaves_the_last():
 
 
 def test_first_reference_that_is_absurd_is_level_and_still():
-    assert not np.any(flown(StandGuidance(references=(ABSURD,)), [1.0005])[0].attitude)
+    assert not np.any(outputs_of(StandGuidance(references=(ABSURD,)), [1.0005])[0].attitude)
 
 
 def test_trajectory_that_is_absurd_leaves_the_last():
     fast = build(trajectories.get("circle"), {"speed": 100.0, "radius": 1e-3, "start": 1.0, "rise": 0.01})
     law = FlightGuidance(trajectories=(fast,), loop=outer())
-    found = flown(law, [by_time(index)._replace(elapsed=0.9 + 0.05 * index) for index in range(8)])
+    found = outputs_of(law, [by_time(index)._replace(elapsed=0.9 + 0.05 * index) for index in range(8)])
     np.testing.assert_array_equal(found[0].reference.position, fast.sample(0.9).position)
     for output in found[3:]:
         np.testing.assert_array_equal(output.reference.position, found[2].reference.position)
@@ -121,7 +112,7 @@ def test_command_that_is_no_number_is_the_last_one_and_the_loop_begins_again(fir
     law, sequence = FlightGuidance(trajectories=TRAJECTORIES, loop=outer()), [by_time(k) for k in range(40)]
     bad = sequence[first]
     sequence[first] = bad._replace(imu=bad.imu._replace(q_xyzw=np.full(4, np.nan)))
-    found = flown(law, sequence)
+    found = outputs_of(law, sequence)
     for output in found:
         told = leaves(output._replace(body_velocity=()))  # which needs the attitude of the sample
         assert all(np.all(np.isfinite(each)) for each in told)
@@ -137,15 +128,17 @@ def test_trajectory_and_outer_loop_are_those_of_the_guidance():
     law, sequence = LAWS["flight"][0], [by_time(index) for index in range(COUNT)]
     shall = [combined_trajectory(TRAJECTORIES, each.elapsed) for each in sequence]
     inner = [PositionLoopInputs(each.imu, each.place, to) for each, to in zip(sequence, shall, strict=True)]
-    for found, to, expected in zip(flown(law, sequence), shall, flown(law.loop, inner), strict=True):
+    for found, to, expected in zip(
+        outputs_of(law, sequence), shall, outputs_of(law.loop, inner), strict=True
+    ):
         for one, other in zip(leaves(found[:4]), leaves((to, *expected)), strict=True):
             np.testing.assert_array_equal(one, other)
 
 
 def test_live_setpoint_is_made_smooth_for_the_outer_loop():
     law, sequence = LAWS["live"][0], [by_setpoint(index) for index in range(COUNT)]
-    smooth = flown(law.smooth, [each.setpoint for each in sequence])
-    for found, expected in zip(flown(law, sequence), smooth, strict=True):
+    smooth = outputs_of(law.smooth, [each.setpoint for each in sequence])
+    for found, expected in zip(outputs_of(law, sequence), smooth, strict=True):
         for one, other in zip(leaves(found.reference), leaves(expected), strict=True):
             np.testing.assert_array_equal(one, other)
 

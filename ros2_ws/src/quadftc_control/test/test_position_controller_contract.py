@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from law_contract import assert_contract
+from law_contract import assert_contract, outputs_of
 from sampling import sampled
 
 from quadftc_compile.engine import CEngine
@@ -66,21 +66,12 @@ def flown_long(law, sequence):
     return [stepper.step(index * DT_NS, inputs) for index, inputs in enumerate(sequence)]
 
 
-def flown(law, sequence):
-    """All outputs over a sequence of inputs; the first step takes no time."""
-    state, outputs = law.init(sequence[0]), []
-    for index, inputs in enumerate(sequence):
-        state, output = law.step(state, inputs, DT if index else 0.0)
-        outputs.append(output)
-    return outputs
-
-
 @EVERY_CONTROLLER
 @EVERY_VEHICLE
 def test_vehicle_at_its_place_stays_level_and_carries_its_weight(name, vehicle):
     law = controller(name, vehicle)
     still = inputs_of(np.zeros(3), np.ones(3), np.zeros(3), resting([1.0, 1.0, 1.0]))
-    for output in flown(law, [still] * 3):
+    for output in outputs_of(law, [still] * 3):
         assert not np.any(output.attitude)
         assert output.thrust == pytest.approx(law.vehicle.mass * STANDARD_GRAVITY, rel=1e-12)
 
@@ -91,7 +82,7 @@ def test_vehicle_at_its_place_stays_level_and_carries_its_weight(name, vehicle):
 def test_thrust_turns_towards_the_place_at_any_heading(name, yaw, towards):
     heading = np.array([0.0, 0.0, yaw])
     away = inputs_of(heading, np.zeros(3), np.zeros(3), resting(towards, yaw))
-    output = flown(controller(name), [away] * 200)[-1]
+    output = outputs_of(controller(name), [away] * 200)[-1]
     thrust = to_earth(quaternion_from_euler(output.attitude.angles), UP)
     assert thrust[0] * towards[1] - thrust[1] * towards[0] == pytest.approx(0.0, abs=1e-3)
     assert thrust[:2] @ towards[:2] > 0.01
@@ -102,7 +93,7 @@ def test_thrust_turns_towards_the_place_at_any_heading(name, yaw, towards):
 def test_yaw_that_is_not_there_yet_does_not_turn_the_push(name):
     heading = np.array([0.0, 0.0, 1.0])
     away = inputs_of(heading, np.zeros(3), np.zeros(3), resting([1.0, 0.0, 0.0], yaw=0.0))
-    angles = flown(controller(name), [away] * 200)[-1].attitude.angles
+    angles = outputs_of(controller(name), [away] * 200)[-1].attitude.angles
     thrust = to_earth(quaternion_from_euler(np.array([*angles[:2], heading[2]])), UP)
     assert thrust[0] > 0.1
     assert thrust[1] == pytest.approx(0.0, abs=1e-3)
