@@ -137,10 +137,8 @@ def linearised(
     return LinearModel(name, tuple(states), tuple(faults), *matrices)
 
 
-def vehicle_model(
-    vehicle: Vehicle, assumptions: Assumptions, point: Mapping[str, float] | None = None
-) -> LinearModel:
-    """Equations of a vehicle with its sensors, around the motion assumed or another point.
+def vehicle_model(vehicle: Vehicle, assumptions: Assumptions) -> LinearModel:
+    """Equations of a vehicle with its sensors, around the motion assumed.
 
     Faults are named by part and axis: sensors, actuators, then disturbances.
     """
@@ -170,7 +168,7 @@ def vehicle_model(
         states=(*STATES, *places),
         unknowns=[*TORQUE, "thrust", *FORCE, *commands, *wind, *blind_to],
         faults=[*sensors, *actuators, *(disturbances if role == "faults" else ())],
-        point=motion_point(vehicle, assumptions) if point is None else point,
+        point=motion_point(vehicle, assumptions),
     )
 
 
