@@ -269,6 +269,15 @@ def test_a_drift_of_a_sensor_that_has_jumped_is_not_the_other_sensors():
     assert ("gyro", 2) not in ambiguous
 
 
+def test_an_attitude_that_sways_is_named_again_and_no_gyro():
+    """It looks right wherever it passes zero."""
+    still = hovering(2, seconds=20.0)
+    elapsed = np.maximum(np.arange(round(20.0 / DT)) * DT - ONSET, 0.0)[:, None]
+    sways = 5.0 * DEG * np.sin(3.0 * elapsed) * np.eye(3)[2]
+    flight = with_imu(still, q_xyzw=quaternion_from_euler(euler_from_quaternion(still.imu.q_xyzw) + sways))
+    assert alarms(said_of(flight))[0] == {("attitude", 2)}
+
+
 def test_one_of_the_two_sensors_of_an_axis_is_always_believed():
     """Faults of both, one after the other: by torque alone nobody could fly."""
     wild = np.sin(2.0 * np.pi * 2.5 * ELAPSED) * np.array([1.0, 0.0, 0.0])

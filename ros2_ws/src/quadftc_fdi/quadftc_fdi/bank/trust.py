@@ -37,7 +37,7 @@ from quadftc_model.arrays import (
 from quadftc_model.rotations import euler_from_quaternion
 
 FAULTY_WALK = 3.0  # rad/s/√s; chosen: walk of the bias of a gyro that is not believed
-AGREES = CORRELATED  # s; for which an attitude must agree with the motion: longer than a gust lasts
+AGREES = CORRELATED  # s; longer than a gust lasts: for which what seems right must agree with the motion
 SOON = 0.05  # s; chosen: for which an attitude must agree after a jump back
 SEEN = 12.0  # 1; derived: log-likelihood of a jump back, by 99 % and a prior of 1e-3 a sample
 AVERAGE = 0.02  # s; chosen: over which sizes of attitude faults are averaged

@@ -74,6 +74,7 @@ class State(NamedTuple):
     lagging: Vector  # angles that follow the attitude, by which it may be late [rad]
     torque: Vector  # behind its lag [N m]
     translation: Translation
+    failed: Array  # of gyro, attitude, accelerometer: for how long a new fault is likelier [s] (..., 3)
 
 
 class Seen(NamedTuple):
@@ -119,6 +120,7 @@ class BankObserver(FlightLaw):
             translation=translation.start_translation(
                 self.vehicle, self.motion_law, self.rotor_effects, inputs
             ),
+            failed=namespace(imu.body_rate).zeros_like(imu.body_rate),
         )
 
     def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> State:
@@ -152,7 +154,7 @@ class BankObserver(FlightLaw):
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
         bank = inference.disregard(bank, *stuck)
         # believe
-        failing = _failing(state)
+        failing = state.failed > 0.0
         held = speaks[0], speaks[0] | (tilt is not None and tilt.used)
         posterior = inference.believe(bank, *held, inputs.driven, failing, 2.0 * log(1.0 - self.level))
         posterior, asked = translation.ask_position(beside, bank, posterior)
@@ -204,6 +206,7 @@ class BankObserver(FlightLaw):
             lagging=modes.follow(state.lagging, euler_from_quaternion(moved.q_xyzw), dt),
             torque=torque,
             translation=beside,
+            failed=where(_faulty(gyro, attitude, force), trust.AGREES, larger(state.failed - dt, 0.0)),
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
         shift = inference.expected_change(bank, posterior, shares * ~is_sure[..., None, None])
@@ -232,7 +235,7 @@ class BankObserver(FlightLaw):
         """
         good_gyro, good_attitude = good
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
-        bank = inference.open_slots(bank, state.worth, _failing(state), dt)
+        bank = inference.open_slots(bank, state.worth, state.failed > 0.0, dt)
         expected = inference.of_gyro(bank, moved.rate, modes.pattern(modes.GYRO))
         moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
         bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
@@ -407,8 +410,8 @@ class BankObserver(FlightLaw):
         )
 
 
-def _failing(state: State) -> Flag:
-    return stacked([any_of(each.faulty)[..., 0] for each in (state.gyro, state.attitude, state.force)])
+def _faulty(*sensors: Trust) -> Mask:
+    return stacked([any_of(each.faulty)[..., 0] for each in sensors])
 
 
 def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
