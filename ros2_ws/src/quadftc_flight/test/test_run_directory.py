@@ -334,7 +334,7 @@ def test_flight_recorded_without_a_scenario_is_judged_by_what_was_injected(tmp_p
 def test_flight_of_a_vehicle_without_truth_is_read_as_far_as_it_goes(tmp_path, scenario, flight):
     lacking = ("scenario.yaml", "parameters.yaml", "plant/attitude", "plant/rate", "fault/injected")
     run = live_run(read_bag(record(tmp_path / "a b", scenario, "first", flight, leave_out=lacking)))
-    assert (run.scenario.name, run.observer) == ("a_b", "isolating")
+    assert (run.scenario.name, run.observer) == ("a_b", "bank")
     assert run.fault_events == ()
     assert run.summary["metrics"]["tracking_rmse_deg"]["roll"] is None
     assert "no message on plant/attitude, plant/rate, fault/injected" in run.warnings[-1]
