@@ -277,8 +277,8 @@ def believe(
     A wild gyro is a hypothesis where the attitude is good (..., 3) and the torque known: by one of them alone
     it cannot be told from motion, or from an attitude that jumps. Where neither a good attitude nor gravity
     has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of odds. Where a sensor is
-    ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, another fault of it is no rarer
-    than what is none.
+    ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next fault is no rarer than
+    what is none.
     """
     xp, square, count = namespace(state.age), state.square, state.count  # (..., 2, axes, slots)
     J, d = (part.sum(axis=-3)[..., EFFECT, :] for part in (state.J, state.d))

@@ -167,7 +167,7 @@ def judge_accelerometer(
 ) -> Translation:
     """Judge the accelerometer at an attitude; ``doubtful``: that or the gyro is in doubt.
 
-    Unless it ``knows`` what it should feel it is stuck or absent, or healthy: in flight drag has any size.
+    Unless the observer ``knows`` what it should feel, only a stuck or absent one is faulty: drag is large.
     """
     imu, monitor, flight = inputs.imu, state.accelerometer, state.flight
     force, there = imu.specific_force, stacked([imu.force_valid] * 3)
