@@ -1,5 +1,5 @@
 # pyright: basic
-"""The study of which sensor is named, from the campaigns ``which_sensor*``; tables of docs/diagnosis.md.
+"""Which sensor is named: from ``which_sensor*`` and ``two_faults*``, the tables of docs/diagnosis.md.
 
 python3 -m quadftc_tools.study.which_sensor --results results --docs docs
 """
@@ -26,8 +26,9 @@ from quadftc_tools.study.numbers import (
 from quadftc_tools.study.page import RESULTS, Tables, markdown, read_campaigns, run_study
 
 FAULTS = ("which_sensor", "which_sensor_observers")  # the second: some of these flights, by other observers
-NAMES = (*FAULTS, "which_sensor_healthy")
-JUDGED = "isolating"  # the observer of which the tables say more
+TWO = ("two_faults", "two_faults_stand")
+NAMES = (*FAULTS, "which_sensor_healthy", *TWO)
+JUDGED = ("isolating", "bank")  # the observers of which the tables say more
 DELAY = "fault.naming_delay_s"
 KINDS = ("fault.named", "fault.ambiguous_share")
 ERROR, RATIO = "attitude_error_max_deg", "attitude_error_max_deg_ratio"
@@ -37,6 +38,14 @@ OVERVIEW = (
     "over that without diagnosis, 95 % / worst",
 )
 SENSORS = ("attitude", "gyro", "accelerometer")
+COSTS = (
+    *("", "all faults named", "more than 1.5 e0 and e0 + 0.3 deg", "of these, error / e0 of the worst"),
+    *("not all named", "more than e0 + 5 deg", "of these, error / e0 of the worst"),
+)
+TWO_HEAD = (
+    *("flights", "by", "number", "lost", "both named", "of faults, misnamed at some time"),
+    *("named after, median / 95 %", "largest error, 95 % / worst"),
+)
 HEALTHY = ("", "flights", "any sensor declared", "lost", "largest error, 95 % / worst")
 
 
@@ -59,46 +68,103 @@ def make(frames: Mapping[str, pl.DataFrame]) -> Tables:
     """Return the tables of the campaigns, by the names of their places."""
     tables: dict[str, str] = {}
     flown: dict[str, pl.DataFrame] = {}  # by variant: all flights of those that flew all, some of the others
+    two: list[tuple[str, ...]] = []
     for name, frame in frames.items():
         place = name.replace("_", "-")
-        variants = frame["variant"].unique(maintain_order=True).to_list()
-        parts = {variant: frame.filter(pl.col("variant") == variant) for variant in variants}
+        parts = parts_of(frame)
         if name in FAULTS:
             flown = parts | flown
         if name == FAULTS[0]:
-            judged = frame.filter(pl.col("observer") == JUDGED)
+            judged = {observer: parts[observer] for observer in JUDGED if observer in parts}
             tables[f"{place}-kinds"] = kinds_table(judged)
             tables[f"{place}-confusion"] = confusion_table(judged)
+            tables[f"{place}-costs"] = markdown(COSTS, (_costs(*part) for part in judged.items()))
         elif name == "which_sensor_healthy":
             tables[place] = markdown(HEALTHY, (_healthy(*part) for part in parts.items()))
+        elif name in TWO:
+            two += two_faults_rows(name, parts)
     if flown:
         tables["which-sensor"] = markdown(OVERVIEW, (_overview(*part) for part in flown.items()))
-    return tables
+    return {**tables, "two-faults": markdown(TWO_HEAD, two)} if two else tables
 
 
-def kinds_table(faults: pl.DataFrame) -> str:
+def parts_of(frame: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """Return the rows of each variant, in the order flown."""
+    variants = frame["variant"].unique(maintain_order=True).to_list()
+    return {variant: frame.filter(pl.col("variant") == variant) for variant in variants}
+
+
+def kinds_table(judged: Mapping[str, pl.DataFrame]) -> str:
     """Named [%], ambiguous [%] and worst error [deg] of each kind of fault; a column for each sensor."""
-    groups = faults.partition_by("fault.kind", "fault.component", as_dict=True)
-    kinds = sorted({kind for kind, _ in groups})
-    rows = [(kind, *(_kind_cell(groups.get((kind, sensor))) for sensor in SENSORS)) for kind in kinds]
-    return markdown(("fault", *SENSORS), rows)
+    groups = {
+        (kind, sensor, by): part
+        for by, faults in judged.items()
+        for (kind, sensor), part in faults.partition_by("fault.kind", "fault.component", as_dict=True).items()
+    }
+    kinds = sorted({kind for kind, _, _ in groups})
+    rows = [
+        (kind, f"`{by}`", *(_kind_cell(groups.get((kind, sensor, by))) for sensor in SENSORS))
+        for kind in kinds
+        for by in judged
+    ]
+    return markdown(("fault", "by", *SENSORS), rows)
 
 
 def _kind_cell(part: pl.DataFrame | None) -> str:
     if part is None:
         return "-"
     named, ambiguous = (part[name].cast(pl.Float64) * 100.0 for name in KINDS)
-    return write_numbers((_number(named.mean()), _number(ambiguous.mean()), _max(whole_flights(part), ERROR)))
+    cell = write_numbers((_number(named.mean()), _number(ambiguous.mean()), _max(whole_flights(part), ERROR)))
+    return cell.replace(" ", "")
 
 
-def confusion_table(faults: pl.DataFrame) -> str:
+def _costs(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
+    """What faults cost beside e0, the largest error of the same flight without diagnosis."""
+    flights = faults.group_by("flight").agg(
+        pl.col(ERROR).first(), e0=(pl.col(ERROR) / pl.col(RATIO)).first(), named=pl.col("fault.named").all()
+    )
+    bounds = pl.max_horizontal(1.5 * pl.col("e0"), pl.col("e0") + 0.3), pl.col("e0") + 5.0
+    cells: list[str] = []
+    for bound, are_named in zip(bounds, (True, False), strict=True):
+        part = flights.filter(pl.col("named") == are_named)
+        over = part.filter(pl.col(ERROR) > bound).sort(ERROR)
+        worst = write_degrees((over[ERROR][-1], over["e0"][-1])) if over.height else "-"
+        cells += [str(part.height), str(over.height), worst]
+    return f"`{name}`", *cells
+
+
+def two_faults_rows(name: str, parts: Mapping[str, pl.DataFrame]) -> list[tuple[str, ...]]:
+    """Rows of flights with two faults, on different axes and the same one apart."""
+    rows: list[tuple[str, ...]] = []
+    for by, faults in parts.items():
+        same = (pl.len() > 1) & (pl.col("fault.axis").n_unique() == 1)
+        with_same = faults.with_columns(same=same.over("flight"))
+        for is_same, part in with_same.partition_by("same", as_dict=True, maintain_order=True).items():
+            flights = whole_flights(part)
+            both = part.group_by("flight").agg(pl.col("fault.named").all())
+            rows.append(
+                (
+                    f"`{name}`{', one axis' if is_same[0] else ''}",
+                    f"`{by}`",
+                    str(flights.height),
+                    write_count((float(flights["lost"].sum()),)),
+                    *(write_per_cent((each,)) for each in (_mean(both, "fault.named"), _misnamed(part))),
+                    write_times(tuple(_quantile(part, DELAY, each) for each in (0.5, 0.95))),
+                    write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
+                )
+            )
+    return sorted(rows, key=lambda row: row[0])
+
+
+def confusion_table(judged: Mapping[str, pl.DataFrame]) -> str:
     """Table of what is said of an axis while a sensor of it is faulty, as shares of the time."""
-    flights, rows = whole_flights(faults), []
+    flights, rows = {by: whole_flights(faults) for by, faults in judged.items()}, []
     for true in TRUE:
-        times = {said: float(flights[f"{CONFUSION}.{true}.{said}"].sum()) for said in SAID}
-        shares = (write_per_cent((times[said] / times[TIME],)) for said in SAID[:-1])
-        rows.append((true, *shares, f"{times[TIME]:.0f} s"))
-    return markdown(("faulty", *(f"said: {said}" for said in SAID[:-1]), "time of all axes"), rows)
+        for by, part in flights.items():
+            times = {said: float(part[f"{CONFUSION}.{true}.{said}"].sum()) for said in SAID}
+            shares = (write_per_cent((times[said] / times[TIME],)) for said in SAID[:-1])
+            rows.append((true, f"`{by}`", *shares, f"{times[TIME]:.0f} s"))
+    return markdown(("faulty", "by", *(f"said: {said}" for said in SAID[:-1]), "time of all axes"), rows)
 
 
 def _overview(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
