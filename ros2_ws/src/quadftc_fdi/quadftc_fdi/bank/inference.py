@@ -287,8 +287,9 @@ def believe(
     _, b, _ = _solved(J[..., WILDS, :].sum(axis=-4), d[..., WILDS, :].sum(axis=-4), PRIOR[WILDS])
     left = heard - _explained(J[..., OF_GYRO, :, WILDS, :], d[..., OF_GYRO, :, WILDS, :], b)
     louder, scatter = (larger(part / larger(number, 1.0), 1.0) for part in (heard, left))
-    scatter = xp.concatenate([xp.ones_like(J[..., 0, 0, : WILDS.start, :]), scatter], axis=-2)
-    by_scatter = _scattering(heard[..., AXIS, :], number[..., AXIS, :], scatter)
+    others = xp.zeros_like(J[..., 0, 0, : WILDS.start, :])
+    by_scatter = xp.concatenate([others, _scattering(heard, number, scatter)], axis=-2)
+    scatter = xp.concatenate([others + 1.0, scatter], axis=-2)
     shares = xp.stack([1.0 / scatter, xp.ones_like(scatter)], axis=-3)  # of gyro and attitude
     joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
