@@ -73,5 +73,5 @@ def test_changes_are_in_points_and_of_the_same_ramps():
         Judged(ramp, "bank", Verdict(delay, wrong, False))
         for delay, wrong in ((0.3, 0), (None, 1), (None, 0))
     ]
-    assert constants.tell_change(usual, usual) == "no change"
+    assert constants.tell_change(usual, usual) == "none"
     assert constants.tell_change(usual, other) == "alarms +100.0, named -25.0, misnamed +25.0, delay +50 %"

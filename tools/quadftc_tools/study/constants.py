@@ -123,7 +123,7 @@ def shares(judged: Sequence[Judged]) -> tuple[float, float, float]:
 def tell_change(usual: Sequence[Judged], judged: Sequence[Judged]) -> str:
     """Say what changes of the same flights: shares [percentage points], mean ratio of the delays of ramps."""
     if usual == judged:
-        return "no change"
+        return "none"
     told = [
         f"{word} {after - before:+.1f}"
         for word, before, after in zip(WORDS, shares(usual), shares(judged), strict=True)
@@ -135,7 +135,7 @@ def tell_change(usual: Sequence[Judged], judged: Sequence[Judged]) -> str:
         if KINDS[before.kind].power and before.verdict.delay and after.verdict.delay
     ]
     longer = round(100.0 * (float(np.mean(ratios)) - 1.0)) if ratios else 0
-    return ", ".join([*told, *([f"delay {longer:+d} %"] if longer else [])]) or "below 1 %"
+    return ", ".join([*told, *([f"delay {longer:+d} %"] if longer else [])]) or "slight"
 
 
 def make(options: argparse.Namespace) -> Tables:
