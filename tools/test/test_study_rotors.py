@@ -22,15 +22,15 @@ def row(flight, variant, spec, named=True, delay=0.016, wrong=0.0, lost=False, f
 def test_faults_are_counted_by_kind_beside_the_flights_without_a_diagnosis():
     frame = pl.DataFrame(
         [
-            row(0, "isolating", LOSS),
-            row(1, "isolating", LOSS, named=False, delay=None, wrong=2.0, far=0.3),
+            row(0, "bank", LOSS),
+            row(1, "bank", LOSS, named=False, delay=None, wrong=2.0, far=0.3),
             row(0, "undiagnosed", LOSS, named=False, delay=None, lost=True),
             row(1, "undiagnosed", LOSS, named=False, delay=None, far=0.5),
         ]
     )
     *_, line = fault_table(frame).splitlines()
     assert [cell.strip() for cell in line.strip("|").split("|")] == [
-        *("rotor: 15 to 40 % lost", "2", "`isolating`", "50 %", "50 %", "16 / 16 ms", "1 % / 1 %"),
+        *("rotor: 15 to 40 % lost", "2", "50 %", "50 %", "16 / 16 ms", "1 % / 1 %"),
         *("0 %", "0.20 / 0.30 m", "50 %", "0.50 / 0.50 m"),
     ]
 
@@ -42,9 +42,9 @@ def test_a_slow_loss_has_a_row_of_its_own():
 
 
 def test_flights_in_which_something_healthy_is_named_are_counted():
-    flown = {"variant": "isolating", "healthy_time_s.roll": 80.0, "rotors.false_namings": 0.0}
+    flown = {"variant": "bank", "healthy_time_s.roll": 80.0, "rotors.false_namings": 0.0}
     frame = pl.DataFrame([{"flight": k, **flown, "sensors.false_namings.gyro": 2.0 * k} for k in (0, 1)])
-    assert healthy_table(frame).splitlines()[-1] == "| 2 | `isolating` | 0.0444 | 0 | 1 |"
+    assert healthy_table(frame).splitlines()[-1] == "| 2 | 0.0444 | 0 | 1 |"
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -17,16 +17,15 @@ from quadftc_tools.study.numbers import write_number, write_per_cent, write_time
 from quadftc_tools.study.page import NOTHING, RESULTS, Tables, markdown, read_campaigns, run_study
 
 NAMES = ("rotor_faults", "rotor_faults_healthy")
-JUDGED, PLAIN = ("isolating", "bank"), "undiagnosed"  # variants
+JUDGED, PLAIN = "bank", "undiagnosed"  # variants; the rotors are judged as by isolating
 WRONG_ROTORS = "rotors.false_namings"
 WRONG_SENSORS = pl.sum_horizontal(pl.col("^sensors.false_namings.*$"))
 HEAD = (
-    *("fault", "flights", "by", "named", "something healthy named at some time"),
-    "named after, median / largest",
+    *("fault", "flights", "named", "something healthy named at some time", "named after, median / largest"),
     *("error of the loss 1 s later, median / largest", "lost", "furthest from its place, median / worst"),
     *("lost without diagnosis", "furthest then"),
 )
-HEALTHY_HEAD = ("flights of 80 s", "by", "hours", "flights in which a rotor is named", "a sensor")
+HEALTHY_HEAD = ("flights of 80 s", "hours", "flights in which a rotor is named", "a sensor")
 
 
 class Row(NamedTuple):
@@ -66,30 +65,25 @@ def choose(row: Row) -> pl.Expr:
 
 def fault_table(frame: pl.DataFrame) -> str:
     """What is named in flights with one fault, and how they go with and without a diagnosis."""
-    rows: list[tuple[str, ...]] = []
-    for row in ROWS:
-        faults = frame.filter(choose(row))
-        plain = faults.filter(variant=PLAIN)
-        for by in JUDGED:
-            judged = faults.filter(variant=by)
-            if judged.height:
-                rows.append((row.label, *_cells(by, judged), *_held(plain)))
-    return markdown(HEAD, rows)
+    found = ((row, frame.filter(choose(row))) for row in ROWS)
+    return markdown(HEAD, (_cells(row, faults) for row, faults in found if faults.height))
 
 
-def _cells(by: str, judged: pl.DataFrame) -> tuple[str, ...]:
+def _cells(row: Row, faults: pl.DataFrame) -> tuple[str, ...]:
+    judged = faults.filter(variant=JUDGED)
     flights = whole_flights(judged)
     wrong = flights.select((pl.col(WRONG_ROTORS) > 0.0) | (WRONG_SENSORS > 0.0)).to_series()
     named = judged.filter(pl.col("fault.named"))
     delays, errors = (named[f"fault.{name}"].drop_nulls() for name in ("naming_delay_s", "size_error_mean"))
     return (
+        row.label,
         str(flights.height),
-        f"`{by}`",
         write_per_cent((_mean(judged["fault.named"]),)),
         write_per_cent((_mean(wrong),)),
         write_times(_spread(delays)) if len(delays) else NOTHING,
         write_per_cent(_spread(errors)) if len(errors) else NOTHING,
         *_held(judged),
+        *_held(faults.filter(variant=PLAIN)),
     )
 
 
@@ -111,14 +105,10 @@ def _mean(values: pl.Series) -> float:
 
 def healthy_table(frame: pl.DataFrame) -> str:
     """How often something is named in flights without a fault."""
-    rows: list[tuple[str, ...]] = []
-    for by in JUDGED:
-        flights = whole_flights(frame.filter(variant=by))
-        wrong = (flights.select(each).to_series() for each in (WRONG_ROTORS, WRONG_SENSORS))
-        hours = float(flights["healthy_time_s.roll"].sum()) / 3600.0
-        counts = (str(int((each > 0.0).sum())) for each in wrong)
-        rows += [(str(flights.height), f"`{by}`", write_number(hours), *counts)] if flights.height else []
-    return markdown(HEALTHY_HEAD, rows)
+    flights = whole_flights(frame.filter(variant=JUDGED))
+    named = (int((flights.select(each).to_series() > 0.0).sum()) for each in (WRONG_ROTORS, WRONG_SENSORS))
+    hours = float(flights["healthy_time_s.roll"].sum()) / 3600.0
+    return markdown(HEALTHY_HEAD, [(str(flights.height), write_number(hours), *map(str, named))])
 
 
 def make(results: Path) -> Tables:

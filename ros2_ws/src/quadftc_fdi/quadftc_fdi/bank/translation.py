@@ -7,12 +7,15 @@ accelerometer comes last, by the attitude that is flown.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from quadftc_fdi.bank import modes
 from quadftc_fdi.bank.inference import Bank, Posterior
 from quadftc_fdi.bank.motion import LOUD
+from quadftc_fdi.bank.noise import MEMORY
 from quadftc_fdi.bank.trust import Trust
 from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_fdi.isolation import accelerometer_monitor, free_flight, naming, reading_test, rotor_watch
@@ -52,6 +55,7 @@ from quadftc_model.vehicle import Vehicle
 UNTESTED = 1e6  # m²/s⁴; mark: variance of a prediction that tests nothing
 EVERY = slice(0, 3)
 OFFSET = FAULT_KINDS.index("offset")
+OFF = math.log(modes.FAULTS / 3600.0 * MEMORY)  # log of the prior odds that an accelerometer is
 
 
 class Translation(NamedTuple):
@@ -130,7 +134,10 @@ def ask_position(state: Translation, bank: Bank, posterior: Posterior) -> tuple[
     spread = of_size**2 * C[..., 0, :, :] + 2.0 * of_size * of_slope * C[..., 1, :, :]
     both = own + larger(spread + of_slope**2 * C[..., 2, :, :], 0.0)
     fits = smaller((tilt - due) ** 2 / both, LOUD) + log(both / own)
-    said = where(counts, 0.5 * (smaller(tilt * tilt / own, LOUD) - fits), 0.0)
+    # a rival: the accelerometer, whose offset shows as a tilt until it is learned
+    either, usual = own + modes.ATTITUDE_SIZE**2, smaller(tilt * tilt / own, LOUD)
+    rival = 0.5 * (usual - tilt * tilt / either - log(either / own)) + OFF
+    said = where(counts, 0.5 * (usual - fits) - log(1.0 + exp(rival)), 0.0)
     others = xp.zeros_like(posterior.log_weight[..., 3:, :])
     weight = posterior.log_weight + xp.concatenate([said, others], axis=-2)
     return posterior._replace(log_weight=weight), counts[..., 0]
