@@ -4,6 +4,11 @@
 
 In a copy of the package ``quadftc_fdi``, NEW takes the place of the text OLD, which FILE has once. Table and
 differences to the stored verdicts are those of `quadftc_tools.study.golden`.
+
+docs/isolating.md has some more: drifts, the first 8 flights of ``campaigns/free_flight_drift.yaml`` with seed
+231; recorded faults, 48 of ``campaigns/study_diagnosis_recordings.yaml --variant supervised --flights 1`` on
+the three bags for tuning; wandering ones, 18 of ``campaigns/study_diagnosis_ahrs.yaml --flights 3``. Both
+have seed 777.
 """
 
 from __future__ import annotations
