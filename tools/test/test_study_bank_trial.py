@@ -92,7 +92,7 @@ def test_the_table_has_shares_and_times():
     judged += [bank_trial.Judged(STEP, "isolating", Verdict(None, False, False))]
     judged += [bank_trial.Judged("none", "bank", Verdict(None, False, False))]
     *_, none, step, other = bank_trial.tabulate(judged).splitlines()
-    assert step == f"| {STEP} | 10 | `bank` | 80 % | 20 % | 10 % | 100 / 360 / 500 ms |"
+    assert step == f"| {STEP} | 10 | `bank` | 80 % | 20 % | 10 % | 100/360/500 ms |"
     assert other == "|  |  | `isolating` | 0 % | 0 % | 0 % | - |"
     assert none == "| none | 1 | `bank` | - | 0 % | 0 % | - |"
 

@@ -69,4 +69,4 @@ def test_a_fault_is_named_if_the_first_finding_is_true():
     judged = [Judged(1, "x500", "px4", truth, each) for each in verdicts]
     (row,) = (line.split(" | ") for line in named_table(judged).splitlines()[2:])
     assert row[:4] == ["| simulated PX4", "gyro", "4", "2"]
-    assert row[5:] == ["0.03 / 0.05 s", "1 |"]  # of the sizes one has the wrong sign
+    assert row[5:] == ["0.03/0.05 s", "1 |"]  # of the sizes one has the wrong sign

@@ -30,8 +30,8 @@ def test_faults_are_counted_by_kind_beside_the_flights_without_a_diagnosis():
     )
     *_, line = fault_table(frame).splitlines()
     assert [cell.strip() for cell in line.strip("|").split("|")] == [
-        *("rotor: 15 to 40 % lost", "2", "50 %", "50 %", "16 / 16 ms", "1 % / 1 %"),
-        *("0 %", "0.20 / 0.30 m", "50 %", "0.50 / 0.50 m"),
+        *("rotor: 15 to 40 % lost", "2", "50 %", "50 %", "16/16 ms", "1 %/1 %"),
+        *("0 %", "0.20/0.30 m", "50 %", "0.50/0.50 m"),
     ]
 
 

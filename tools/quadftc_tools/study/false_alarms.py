@@ -189,7 +189,7 @@ def _named_row(logs: str, component: str, judged: Sequence[Judged]) -> Sequence[
         for truth, first in named
     )
     late = [abs(first.onset_s - truth.onset) for truth, first in named]
-    times = " / ".join(f"{np.quantile(late, share):.2f}" for share in (0.5, 0.9)) + " s" if late else NOTHING
+    times = "/".join(f"{np.quantile(late, share):.2f}" for share in (0.5, 0.9)) + " s" if late else NOTHING
     hits, faults = len(named), len(judged)
     return logs, component, str(faults), str(hits), write_share(hits, faults), times, str(sized)
 

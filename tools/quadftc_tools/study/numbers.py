@@ -16,12 +16,12 @@ _DIGITS = 3  # significant
 
 def write_numbers(values: Values) -> str:
     """Write numbers, without a unit."""
-    return " / ".join(map(write_number, values))
+    return "/".join(map(write_number, values))
 
 
 def write_count(values: Values) -> str:
     """Write whole numbers."""
-    return " / ".join(NOTHING if value is None else f"{value:.0f}" for value in values)
+    return "/".join(NOTHING if value is None else f"{value:.0f}" for value in values)
 
 
 def write_degrees(values: Values) -> str:
@@ -31,7 +31,7 @@ def write_degrees(values: Values) -> str:
 
 def write_per_cent(values: Values) -> str:
     """Write shares as per cent."""
-    return " / ".join(NOTHING if value is None else f"{write_number(100.0 * value)} %" for value in values)
+    return "/".join(NOTHING if value is None else f"{write_number(100.0 * value)} %" for value in values)
 
 
 def write_times(values: Values) -> str:
@@ -41,7 +41,7 @@ def write_times(values: Values) -> str:
         return NOTHING
     if max(known) >= 1.0:
         return f"{write_numbers(values)} s"
-    return f"{' / '.join(write_number(1e3 * value) for value in known)} ms"
+    return f"{'/'.join(write_number(1e3 * value) for value in known)} ms"
 
 
 def write_number(value: float | None) -> str:

@@ -17,7 +17,7 @@ from quadftc_tools.study.numbers import write_number, write_per_cent, write_time
 from quadftc_tools.study.page import NOTHING, RESULTS, Tables, markdown, read_campaigns, run_study
 
 NAMES = ("rotor_faults", "rotor_faults_healthy")
-JUDGED, PLAIN = "bank", "undiagnosed"  # variants; the rotors are judged as by isolating
+JUDGED, PLAIN = "bank", "undiagnosed"  # variants
 WRONG_ROTORS = "rotors.false_namings"
 WRONG_SENSORS = pl.sum_horizontal(pl.col("^sensors.false_namings.*$"))
 HEAD = (
@@ -91,7 +91,7 @@ def _held(rows: pl.DataFrame) -> tuple[str, str]:
     """Return the share of flights that are lost, and how far the others get from their place."""
     flights = whole_flights(rows)
     far = flights.filter(~pl.col("lost"))["position_max_m"]
-    spread = f"{far.median():.2f} / {far.max():.2f} m" if len(far) else NOTHING
+    spread = f"{far.median():.2f}/{far.max():.2f} m" if len(far) else NOTHING
     return write_per_cent((_mean(flights["lost"]),)), spread
 
 

@@ -18,7 +18,6 @@ from quadftc_flight.diagnosis_metrics.which_sensor import NOTHING, SAID, TIME, T
 from quadftc_tools.study.numbers import (
     write_count,
     write_degrees,
-    write_number,
     write_numbers,
     write_per_cent,
     write_times,
@@ -78,7 +77,8 @@ def make(frames: Mapping[str, pl.DataFrame]) -> Tables:
             judged = {observer: parts[observer] for observer in JUDGED if observer in parts}
             tables[f"{place}-kinds"] = kinds_table(judged)
             tables[f"{place}-confusion"] = confusion_table(judged)
-            tables[f"{place}-costs"] = markdown(COSTS, (_costs(*part) for part in judged.items()))
+            if RATIO in frame.columns:
+                tables[f"{place}-costs"] = markdown(COSTS, (_costs(*part) for part in judged.items()))
         elif name == "which_sensor_healthy":
             tables[place] = markdown(HEALTHY, (_healthy(*part) for part in parts.items()))
         elif name in TWO:
@@ -111,8 +111,7 @@ def _kind_cell(part: pl.DataFrame | None) -> str:
     if part is None:
         return "-"
     named, ambiguous = (part[name].cast(pl.Float64) * 100.0 for name in KINDS)
-    cell = write_numbers((_number(named.mean()), _number(ambiguous.mean()), _max(whole_flights(part), ERROR)))
-    return cell.replace(" ", "")
+    return write_numbers((_number(named.mean()), _number(ambiguous.mean()), _max(whole_flights(part), ERROR)))
 
 
 def _costs(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
@@ -175,7 +174,7 @@ def _overview(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
         write_per_cent((_misnamed(both),)),
         write_times(tuple(_quantile(both, DELAY, each) for each in (0.5, 0.95))),
         write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
-        " / ".join(write_number(each) for each in (_quantile(flights, RATIO, 0.95), _max(flights, RATIO))),
+        write_numbers((_quantile(flights, RATIO, 0.95), _max(flights, RATIO))),
     )
 
 

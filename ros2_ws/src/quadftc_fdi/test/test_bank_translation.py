@@ -48,7 +48,7 @@ def asked(state):
 
 def test_a_drift_of_roll_that_the_position_shows_is_likelier_and_nothing_else_is():
     said, where = said_of(DUE)
-    assert np.all((said[modes.ATTITUDE] > -translation.OFF) & (said[modes.ATTITUDE] < 0.4 * LOUD)), "a rival"
+    assert np.all((said[modes.ATTITUDE] > -translation.RIVAL) & (said[modes.ATTITUDE] < 0.4 * LOUD))
     assert np.all(abs(said[modes.ATTITUDE + 1 :]) < 0.01)
     assert where.tolist() == [True, True, False]
 

@@ -55,7 +55,8 @@ from quadftc_model.vehicle import Vehicle
 UNTESTED = 1e6  # m²/s⁴; mark: variance of a prediction that tests nothing
 EVERY = slice(0, 3)
 OFFSET = FAULT_KINDS.index("offset")
-OFF = math.log(modes.FAULTS / 3600.0 * MEMORY)  # log of the prior odds that an accelerometer is
+ACCELEROMETER = modes.KINDS[modes.FELT]  # how often it is faulty, and by what tilt
+RIVAL = math.log(ACCELEROMETER.rate / 3600.0 * MEMORY)  # 1; derived: log of the odds of that in `MEMORY`
 
 
 class Translation(NamedTuple):
@@ -116,7 +117,8 @@ def judge_rotors(
 def ask_position(state: Translation, bank: Bank, posterior: Posterior) -> tuple[Posterior, Mask]:
     """Weigh faults of the attitude by the tilt that the position shows; also return where it does (..., 3).
 
-    That tilt follows a fault b + s t late (`free_flight`). What it shows of a fault that is believed is taken
+    That tilt follows a fault b + s t late (`free_flight`). An offset of the accelerometer shows as one, too,
+    until it is learned: that is the rival of each. What it shows of a fault that is believed is taken
     off, and as large again is the doubt: a yaw that is off turns the force, too.
     """
     xp, flight = namespace(bank.age), state.flight
@@ -134,9 +136,8 @@ def ask_position(state: Translation, bank: Bank, posterior: Posterior) -> tuple[
     spread = of_size**2 * C[..., 0, :, :] + 2.0 * of_size * of_slope * C[..., 1, :, :]
     both = own + larger(spread + of_slope**2 * C[..., 2, :, :], 0.0)
     fits = smaller((tilt - due) ** 2 / both, LOUD) + log(both / own)
-    # a rival: the accelerometer, whose offset shows as a tilt until it is learned
-    either, usual = own + modes.ATTITUDE_SIZE**2, smaller(tilt * tilt / own, LOUD)
-    rival = 0.5 * (usual - tilt * tilt / either - log(either / own)) + OFF
+    either, usual = own + ACCELEROMETER.size**2, smaller(tilt * tilt / own, LOUD)
+    rival = 0.5 * (usual - tilt * tilt / either - log(either / own)) + RIVAL
     said = where(counts, 0.5 * (usual - fits) - log(1.0 + exp(rival)), 0.0)
     others = xp.zeros_like(posterior.log_weight[..., 3:, :])
     weight = posterior.log_weight + xp.concatenate([said, others], axis=-2)
