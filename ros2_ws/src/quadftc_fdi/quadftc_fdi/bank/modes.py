@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from quadftc_fdi.bank.noise import LONGER
 from quadftc_model.arrays import Scalar, Vector, column, exp
-from quadftc_model.rotations import wrap
 
 # rows of the kinds; the first seven have an effect of their own
 ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, JUMP, LAG, STEADY, WILD = range(11)
@@ -82,11 +81,15 @@ def pattern(kind: int) -> NDArray[np.float64]:
     return (1.0 * ((np.arange(3)[:, None] == AXIS) & (kind == KIND)))[:, :EFFECTS]
 
 
-def follow(lagging: Vector, angles: Vector, dt: Scalar) -> Vector:
-    """Let ``lagging`` angles follow others [rad], with a time constant of T/2."""
-    return lagging + (1.0 - exp(-2.0 * column(dt) / LONGER)) * wrap(angles - lagging)
+def ahead(lead: Vector, turned: Vector, dt: Scalar) -> Vector:
+    """Return by how much angles lead those that follow them with a time constant of T/2 [rad].
+
+    They have ``turned`` [rad] in ``dt`` [s], as the gyro says: what corrects an angle is no motion.
+    """
+    half = exp(-column(dt) / LONGER)
+    return half * (half * lead + turned)
 
 
-def late_by(lagging: Vector, angles: Vector) -> Vector:
+def late_by(lead: Vector) -> Vector:
     """Return what an attitude reads too much [rad] for each second by which it is late."""
-    return 2.0 * wrap(lagging - angles) / LONGER
+    return -2.0 * lead / LONGER

@@ -71,7 +71,7 @@ class State(NamedTuple):
     worth: Array  # log weight of the hypotheses (..., modes, slots)
     rate: Vector  # reading of the gyro at the last sample [rad/s]
     q_xyzw: Quaternion  # attitude at the last sample: as read, else turned with the gyro since
-    lagging: Vector  # angles that follow the attitude, by which it may be late [rad]
+    lead: Vector  # of the angles over those that follow them, by which the attitude may be late [rad]
     torque: Vector  # behind its lag [N m]
     translation: Translation
     failed: Array  # of gyro, attitude, accelerometer: for how long a new fault is likelier [s] (..., 3)
@@ -115,7 +115,7 @@ class BankObserver(FlightLaw):
             worth=bank.age[..., modes.EFFECT, :] + inference.LOWEST,
             rate=imu.body_rate,
             q_xyzw=imu.q_xyzw,
-            lagging=euler_from_quaternion(imu.q_xyzw),
+            lead=namespace(imu.body_rate).zeros_like(imu.body_rate),
             torque=inputs.torque,
             translation=translation.start_translation(
                 self.vehicle, self.motion_law, self.rotor_effects, inputs
@@ -148,7 +148,7 @@ class BankObserver(FlightLaw):
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
         beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
         moved, known, torque = self._predict(state, inputs, read, turning, levels, dt)
-        bank, moved, by_attitude, off, added, tilt = self._measure(
+        bank, moved, by_attitude, off, added, lead, tilt = self._measure(
             state, imu, moved, levels, (good_gyro, good_attitude), inputs.driven, dt
         )
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
@@ -203,7 +203,7 @@ class BankObserver(FlightLaw):
             worth=posterior.log_weight,
             rate=read,
             q_xyzw=where(column(there), imu.q_xyzw, turned),
-            lagging=modes.follow(state.lagging, euler_from_quaternion(moved.q_xyzw), dt),
+            lead=lead,
             torque=torque,
             translation=beside,
             failed=where(_faulty(gyro, attitude, force), trust.AGREES, larger(state.failed - dt, 0.0)),
@@ -227,11 +227,11 @@ class BankObserver(FlightLaw):
         good: tuple[Mask, Mask],
         driven: Flag,
         dt: float,
-    ) -> tuple[Bank, Motion, Gains, Vector, Array, Gains | None]:
+    ) -> tuple[Bank, Motion, Gains, Vector, Array, Vector, Gains | None]:
         """Take gyro and attitude where they are ``good``, and the tilt by gravity.
 
-        Return the bank, the motion, and of the attitude: gains, how far it is off [rad], and what a fault of
-        1 rad or 1 s adds to its rotation vector. Last are the gains of the tilt, None if it is not felt.
+        Return the bank, the motion, and of the attitude: gains, how far it is off [rad], what a fault of
+        1 rad or 1 s adds to its rotation vector, its lead. Last are the gains of the tilt, None if not felt.
         """
         good_gyro, good_attitude = good
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
@@ -241,8 +241,8 @@ class BankObserver(FlightLaw):
         bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
         angles = euler_from_quaternion(moved.q_xyzw)
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
-        late = modes.late_by(modes.follow(state.lagging, angles, dt), angles)
-        changed = modes.pattern(modes.ATTITUDE) + column(late) * modes.pattern(modes.LATE)
+        lead = modes.ahead(state.lead, wrap(angles - euler_from_quaternion(state.motion.q_xyzw)), dt)
+        changed = modes.pattern(modes.ATTITUDE) + column(modes.late_by(lead)) * modes.pattern(modes.LATE)
         added = _turning(angles) @ changed
         expected = inference.of_attitude(bank, moved.rate, added)
         # an angle that is not used must not turn the others
@@ -257,7 +257,7 @@ class BankObserver(FlightLaw):
             expected = inference.of_tilt(bank, modes.pattern(modes.FELT))
             moved, tilt = motion.take_tilt(moved, imu.specific_force, white, feels)
             bank = inference.weigh(bank, OF_ATTITUDE, tilt, expected)
-        return bank, moved, by_attitude, off, added, tilt
+        return bank, moved, by_attitude, off, added, lead, tilt
 
     def _watch_force(
         self,
