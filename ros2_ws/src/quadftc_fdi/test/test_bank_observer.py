@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from in_c import fly_arrays
 
-from quadftc_fdi.bank import readings
+from quadftc_fdi.bank import modes, readings
 from quadftc_fdi.fault_observer import is_usable_estimate
 from quadftc_fdi.fault_observers.bank import BankObserver
 from quadftc_model.arrays import rows_of
@@ -122,6 +122,15 @@ def test_a_gyro_that_is_dead_or_late_while_its_axis_swings_is_named_and_no_attit
     read = flight.imu.body_rate + (late if is_late else 0.0) * unit
     said = said_of(with_imu(flight, body_rate=read)._replace(torque=torque))
     assert alarms(said)[0] == {("gyro", axis)}
+
+
+def test_of_a_sensor_that_is_beyond_doubt_the_likeliest_mode_is_believed():
+    """A wild gyro needs twice the certainty: a step that explains less must not take its place."""
+    p, doubt, few = np.zeros(modes.MODES), np.ones(modes.MODES), 1e-3
+    step, wild = 3 * modes.GYRO, 3 * modes.WILD
+    p[step], p[wild], doubt[step], doubt[wild] = few, 1.0 - few, few, few
+    law, none, there = BankObserver(vehicle=QBALL), np.zeros(3, bool), np.ones(3, bool)
+    assert np.flatnonzero(law._named(p, doubt, p, none, there, np.ones(1, bool))).tolist() == [wild]
 
 
 @pytest.mark.parametrize("by", [0.2, 0.3])

@@ -386,8 +386,9 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
 def forget(state: Bank, axes: Mask, alone: Mask) -> Bank:
     """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise.
 
-    Those of other axes lose what these axes have shown: it was of the fault that is believed. A gyro that is
-    ``alone``, as its attitude is not there, needs new evidence: by torque alone all axes look alike.
+    Where it is not ``settled`` (..., 3) whether the gyro is faulty, its faults stay, to be judged anew.
+    Hypotheses of other axes lose what these axes have shown: it was of the fault that is believed. A gyro
+    that is ``alone``, as its attitude is not there, needs new evidence: by torque alone all axes look alike.
     """
     own = AXIS[:EFFECTS]
     gone = axes[..., own][..., None]

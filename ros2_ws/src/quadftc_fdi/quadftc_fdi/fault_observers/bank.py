@@ -173,11 +173,8 @@ class BankObserver(FlightLaw):
         # one witness of each axis stays: who names the last takes the other name back
         cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
         before = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
-        # what a faulty gyro has taught is doubted
-        believed = motion.unsettled(
-            believed, motion.THETA, where(cleared[0] | gyro, _off(off, imu, believed, good_attitude), 0.0)
-        )
-        believed = motion.unsettled(believed, motion.D, where(gyro, believed.unknown**2, 0.0))
+        angle = where(cleared[0] | gyro, _off(off, imu, believed, good_attitude), 0.0)
+        believed = _doubted(believed, angle, gyro, named)
         spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, believed, dt)
         beside = translation.follow_fault(beside, off, attitude, before[0].faulty, stuck[0], dt)
@@ -355,7 +352,8 @@ class BankObserver(FlightLaw):
         takes = ((name != modes.ATTITUDE) & (kind != modes.RETURN)) | (not self.attitude_from_gyro)
         sure = doubt < least * takes
         heard = (kind != modes.WILD) | (aged > noise.LONG * p)
-        return sure & (p == (p * sure).max(axis=-1, keepdims=True)) & heard
+        alike = (1.0 * (sure & heard)) @ modes.SAME > 0.0
+        return alike & (p == (p * alike).max(axis=-1, keepdims=True))
 
     def _said(
         self, state: State, inputs: FaultObserverInputs, flown: Motion, attitude: Seen, gyro: Seen, dt: float
@@ -443,6 +441,17 @@ def _off(before: Vector, imu: ImuSample, believed: Motion, good: Mask) -> Vector
     """Square of how far an attitude is off [rad²], before a fault is believed and, if it is good, after."""
     after = wrap(euler_from_quaternion(imu.q_xyzw) - euler_from_quaternion(believed.q_xyzw))
     return larger(before * before, where(good, after * after, 0.0))
+def _doubted(believed: Motion, angle: Vector, gyro: Mask, named: Mask) -> Motion:
+    """Doubt what a gyro that is named now has taught; ``angle`` is the least variance of the angles [rad²].
+
+    A step or drift has told what the rate is; one that oscillates or lags has not.
+    """
+    believed = motion.unsettled(believed, motion.THETA, angle)
+    wild = named[..., inference.WILDS] * modes.GYRO_SIZE**2
+    believed = motion.unsettled(believed, motion.OMEGA, wild)
+    return motion.unsettled(believed, motion.D, where(gyro, believed.unknown**2, 0.0))
+
+
 
 
 def _turning(angles: Vector) -> Array:
