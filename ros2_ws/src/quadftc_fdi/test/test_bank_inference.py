@@ -288,8 +288,11 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
     bank = inference.open_slots(bank, ALIKE, NONE, 0.0)
-    gone = inference.forget(bank, np.array([False, True, False]), NONE).age < 0.0
-    assert np.array_equal(gone, (modes.AXIS[: modes.EFFECTS] == 1)[:, None] | (bank.age < 0.0))
+    axes = np.array([False, True, False])
+    gone, but_gyros = (inference.forget(bank, axes, settled, NONE).age < 0.0 for settled in (axes, NONE))
+    own, of_gyro = modes.AXIS[: modes.EFFECTS] == 1, modes.KIND[: modes.EFFECTS] == modes.GYRO
+    assert np.array_equal(gone, own[:, None] | (bank.age < 0.0))
+    assert np.array_equal(but_gyros, (own & ~of_gyro)[:, None] | (bank.age < 0.0))
 
 
 def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
@@ -306,7 +309,7 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
 def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other():
     bank = inference.start_bank(np.zeros(3))
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0, square=bank.square + 1.0, count=bank.count + 1.0)
-    after = inference.forget(bank, np.array([True, False, False]), NONE)
+    after = inference.forget(bank, np.array([True, False, False]), THERE, NONE)
     others = np.array([0.0, 1.0, 1.0])
     for part in (after.J, after.d):
         np.testing.assert_array_equal(part, np.broadcast_to(others[:, None, None], part.shape))
@@ -317,7 +320,7 @@ def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other():
 def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_does():
     bank = inference.start_bank(np.zeros(3))
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0)
-    after = inference.forget(bank, NONE, np.array([True, False, False]))
+    after = inference.forget(bank, NONE, NONE, np.array([True, False, False]))
     again = (modes.KIND == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
     for part in (after.J, after.d):
         np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))

@@ -383,7 +383,7 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     return state._replace(temper=larger(state.temper + news, 1.0), learned=time)
 
 
-def forget(state: Bank, axes: Mask, alone: Mask) -> Bank:
+def forget(state: Bank, axes: Mask, settled: Mask, alone: Mask) -> Bank:
     """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise.
 
     Where it is not ``settled`` (..., 3) whether the gyro is faulty, its faults stay, to be judged anew.
@@ -391,8 +391,9 @@ def forget(state: Bank, axes: Mask, alone: Mask) -> Bank:
     that is ``alone``, as its attitude is not there, needs new evidence: by torque alone all axes look alike.
     """
     own = AXIS[:EFFECTS]
-    gone = axes[..., own][..., None]
-    again = (alone[..., own] & (KIND[:EFFECTS] == GYRO))[..., None]
+    of_gyro = KIND[:EFFECTS] == GYRO
+    gone = (axes[..., own] & (settled[..., own] | ~of_gyro))[..., None]
+    again = (alone[..., own] & of_gyro)[..., None]
     lost = axes[..., :, None, None] | again[..., None, :, :]  # (..., axes, effects, 1)
     J, d = (where(lost[..., None, None, :, :, :], 0.0, part) for part in (state.J, state.d))
     heard = (axes | alone)[..., None, :, None]

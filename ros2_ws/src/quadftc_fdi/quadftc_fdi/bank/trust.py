@@ -70,12 +70,18 @@ def acquitted(state: Trust, axes: Mask) -> Trust:
 
 
 def take_over(
-    motion: Motion, bank: Bank, posterior: Posterior, mode: Array, added: Array, alone: Mask
+    motion: Motion,
+    bank: Bank,
+    posterior: Posterior,
+    mode: Array,
+    added: Array,
+    alone: Mask,
+    driven: Flag,
 ) -> tuple[Motion, Bank, Scalar]:
     """Believe the likeliest onset of a mode (..., modes): return motion, bank and age of that onset [s].
 
     ``added`` (..., 3, effects) is what a faulty attitude adds to its rotation vector. Gyros are ``alone``
-    where there is no attitude.
+    where there is no attitude; ``driven``: the torque is known.
     """
     xp = namespace(posterior.log_weight)
     own = where(mode[..., None], posterior.log_weight, 2.0 * inference.LOWEST)
@@ -104,7 +110,11 @@ def take_over(
     P = motion.covariance + U.swapaxes(-1, -2) @ spread[..., None, :, :] @ U
     axes = (mode[..., None] & (modes.AXIS[:, None] == np.arange(3))).any(axis=-2)
     age = of(bank.age[..., modes.EFFECT, :])
-    return moved_by(motion, change)._replace(covariance=P), inference.forget(bank, axes, alone), age
+    # a jump or lag of the attitude says nothing of a gyro that the torque may yet find
+    slight = ((modes.KIND == modes.JUMP) | (modes.KIND == modes.LAG)) & column(driven)
+    settled = axes & ~column((mode & slight).any(axis=-1))
+    bank = inference.forget(bank, axes, settled, alone)
+    return moved_by(motion, change)._replace(covariance=P), bank, age
 
 
 def watch_gyro(

@@ -164,9 +164,7 @@ class BankObserver(FlightLaw):
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
-            lambda: trust.take_over(
-                moved, bank, posterior, named, added, ~readings.is_witness(attitude_read)
-            ),
+            lambda: trust.take_over(moved, bank, posterior, named, added, alone, inputs.driven),
             lambda: (moved, bank, p[..., 0] * 0.0),
         )
         attitude, gyro = (_said_of(sensor, 1.0 * named) > 0.0 for sensor in (modes.ATTITUDE, modes.GYRO))
@@ -441,6 +439,8 @@ def _off(before: Vector, imu: ImuSample, believed: Motion, good: Mask) -> Vector
     """Square of how far an attitude is off [rad²], before a fault is believed and, if it is good, after."""
     after = wrap(euler_from_quaternion(imu.q_xyzw) - euler_from_quaternion(believed.q_xyzw))
     return larger(before * before, where(good, after * after, 0.0))
+
+
 def _doubted(believed: Motion, angle: Vector, gyro: Mask, named: Mask) -> Motion:
     """Doubt what a gyro that is named now has taught; ``angle`` is the least variance of the angles [rad²].
 
@@ -450,8 +450,6 @@ def _doubted(believed: Motion, angle: Vector, gyro: Mask, named: Mask) -> Motion
     wild = named[..., inference.WILDS] * modes.GYRO_SIZE**2
     believed = motion.unsettled(believed, motion.OMEGA, wild)
     return motion.unsettled(believed, motion.D, where(gyro, believed.unknown**2, 0.0))
-
-
 
 
 def _turning(angles: Vector) -> Array:
