@@ -7,7 +7,8 @@ from quadftc_fdi.bank import inference, modes, motion
 from quadftc_fdi.bank.inference import FIRST, OF_ATTITUDE, OF_GYRO, SLOTS, SPACING
 from quadftc_fdi.bank.motion import BETA, OMEGA, THETA, D
 from quadftc_fdi.bank.noise import Noise
-from quadftc_model.rotations import rotation_between, turn
+from quadftc_model.rotations import earth_z_in_body, quaternion_from_euler, rotation_between, turn
+from quadftc_model.samples import STANDARD_GRAVITY
 
 DT, ONSET, END, ROWS, SLOT = 0.01, 30, 70, 90, 0  # s; the slot that the first onset takes
 NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.03)))
@@ -230,6 +231,28 @@ def test_a_hypothesis_knows_how_axes_are_coupled_in_a_turn(kind, repeats_gyro):
     U = bank.U[:4, :, 0, 3 * kind + 1, SLOT]  # (states, axes)
     assert np.array(moved) / size == pytest.approx(U, rel=0.0, abs=0.002)
     assert abs(U[THETA, 1]) > 0.01
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_hypothesis_knows_which_turns_gravity_shows(axis):
+    """One about the vertical is no tilt: a yaw that is off must not be refuted by the accelerometer."""
+    q_xyzw, size = quaternion_from_euler(np.array([0.3, -0.2, 1.0])), 1e-6
+    state = motion.start_motion(q_xyzw, np.zeros(3), NOISE)
+    force = STANDARD_GRAVITY * earth_z_in_body(turn(q_xyzw, size * np.eye(3)[axis]))
+    innovation = motion.take_tilt(state, force, np.ones(3), THERE)[1].innovation
+    bank = inference.start_bank(np.zeros(3))
+    bank.U[THETA, axis, 0] = 1.0
+    shown = inference.of_tilt(bank, earth_z_in_body(q_xyzw), modes.pattern(modes.FELT))[:2, 0, 0, 0]
+    assert shown == pytest.approx(innovation[:2] / size, abs=1e-5)
+
+
+def test_an_attitude_is_late_by_what_the_vehicle_has_turned_meanwhile():
+    time, lead, late = np.arange(2000) * 0.004, np.zeros(3), 0.2
+    angle = np.sin(2.0 * time)
+    for turned in np.diff(angle):
+        lead = modes.ahead(lead, np.full(3, turned), 0.004)
+        told = late * modes.late_by(lead)
+    assert told == pytest.approx(np.full(3, np.sin(2.0 * (time[-1] - late)) - angle[-1]), abs=0.01)
 
 
 def test_a_torque_may_have_changed_at_any_time_between_two_samples():

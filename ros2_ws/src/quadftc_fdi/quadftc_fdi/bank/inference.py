@@ -235,9 +235,14 @@ def of_attitude(state: Bank, rate: Vector, added: Array) -> Array:
     return state.U[..., THETA, :, :, :, :] - late + by_fault
 
 
-def of_tilt(state: Bank, added: Array) -> Array:
-    """S of the tilt by gravity (..., 3, 2, modes, slots); ``added`` (..., 3, modes) is what 1 rad adds."""
-    by_motion = state.U[..., THETA, :, :, :, :] + state.U[..., LEAN, :, :, :, :]
+def of_tilt(state: Bank, vertical: Vector, added: Array) -> Array:
+    """S of the tilt by gravity (..., 3, 2, modes, slots); ``added`` (..., 3, modes) is what 1 rad adds.
+
+    What turns about the ``vertical`` (..., 3), a unit vector in body axes, is no tilt.
+    """
+    theta = state.U[..., THETA, :, :, :, :]
+    v, z = vertical[..., :, None, None, None], vertical[..., 2:, None, None, None]
+    by_motion = z * (z * theta - v * theta[..., 2:, :, :, :]) + state.U[..., LEAN, :, :, :, :]
     return by_motion + added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
 
 

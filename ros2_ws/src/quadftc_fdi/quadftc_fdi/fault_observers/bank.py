@@ -44,7 +44,7 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
-from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn, wrap
+from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler, turn, wrap
 from quadftc_model.samples import (
     FAULT_KINDS,
     FaultEstimate,
@@ -249,7 +249,7 @@ class BankObserver(FlightLaw):
         if beside.flight is None and self.feels_gravity:
             feels = imu.force_valid & driven & ~any_of(beside.accelerometer.faulty)[..., 0]
             feels, white = column(feels) & ~state.force.faulty, translation.noise_of_force(beside)
-            expected = inference.of_tilt(bank, modes.pattern(modes.FELT))
+            expected = inference.of_tilt(bank, earth_z_in_body(moved.q_xyzw), modes.pattern(modes.FELT))
             moved, tilt = motion.take_tilt(moved, imu.specific_force, white, feels)
             bank = inference.weigh(bank, OF_ATTITUDE, tilt, expected)
         return bank, moved, by_attitude, off, added, lead, tilt
