@@ -153,14 +153,7 @@ class BankObserver(FlightLaw):
         )
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
         bank = inference.disregard(bank, *stuck)
-        # believe
-        failing = state.failed > 0.0
-        held = speaks[0], speaks[0] | (tilt is not None and tilt.used)
-        posterior = inference.believe(bank, *held, inputs.driven, failing, 2.0 * log(1.0 - self.level))
-        posterior, asked = translation.ask_position(beside, bank, posterior)
-        shares, p, doubt = _probabilities(posterior)
-        aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
-        named = self._named(p, doubt, aged, asked, speaks[1] & ~state.gyro.faulty, column(inputs.driven))
+        posterior, shares, p, named = self._infer(state, bank, beside, speaks, tilt, inputs.driven)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
@@ -323,6 +316,28 @@ class BankObserver(FlightLaw):
         repeats = self.attitude_from_gyro
         moves = known + usual, between, inputs.driven, mean, walk, levels, repeats
         return motion.predict(motion.unsettled(state.motion, motion.D, turning), *moves, dt), known, torque
+
+    def _infer(
+        self,
+        state: State,
+        bank: Bank,
+        beside: Translation,
+        speaks: tuple[Mask, Mask],
+        tilt: Gains | None,
+        driven: Flag,
+    ) -> tuple[Posterior, Array, Array, Array]:
+        """Return the posterior, the probability of each hypothesis and mode, and which mode is beyond doubt.
+
+        ``speaks``: the axes of attitude and gyro that are believed and tell of the motion.
+        """
+        held = speaks[0], speaks[0] | (tilt is not None and tilt.used)
+        rarer = 2.0 * log(1.0 - self.level)
+        posterior = inference.believe(bank, *held, driven, state.failed > 0.0, rarer)
+        posterior, asked = translation.ask_position(beside, bank, posterior)
+        shares, p, doubt = _probabilities(posterior)
+        aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
+        named = self._named(p, doubt, aged, asked, speaks[1] & ~state.gyro.faulty, column(driven))
+        return posterior, shares, p, named
 
     def _named(
         self,
