@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadftc_fdi.bank import inference, modes, motion
-from quadftc_fdi.bank.inference import FIRST, LEARNING, OF_ATTITUDE, OF_GYRO, SLOTS, SPACING
+from quadftc_fdi.bank.inference import FIRST, OF_ATTITUDE, OF_GYRO, SLOTS, SPACING
 from quadftc_fdi.bank.motion import BETA, OMEGA, THETA, D
 from quadftc_fdi.bank.noise import Noise
 from quadftc_model.rotations import earth_z_in_body, quaternion_from_euler, rotation_between, turn
@@ -137,7 +137,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
             each.measure(np.eye(6)[BETA] + np.eye(6)[OMEGA], gyro[row], NOISE.gyro[0], modes.GYRO)
             each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
     assert not state.loud.any()  # no reading was taken for a loud one
-    evidence = believed.log_weight[mode, SLOT] - inference.USUAL[mode, 0] - np.log(SPACING[0])
+    evidence = believed.log_weight[mode, SLOT] - inference.USUAL[mode, SLOT]
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
     assert evidence > 3.0 or repeats_gyro  # it was seen; an attitude that repeats a gyro's fault hides it
     b, U = believed.b[:, mode, SLOT], bank.U[:4, AXIS, :, mode, SLOT]
@@ -182,7 +182,7 @@ def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(
             each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
     assert not state.loud.any()
     # four slots hold that fault, alike; the end comes at the rate of events
-    began = inference.USUAL[3 * ended + AXIS, 0] + np.log(SPACING).mean()
+    began = inference.USUAL[3 * ended + AXIS, [FIRST[ring] for ring in range(len(SLOTS))]].mean()
     evidence = believed.log_weight[mode, slot] - began - np.log(modes.EVENTS / 3600.0 * SPACING[0])
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
     assert evidence > believed.log_weight[3 * ended + AXIS].max()
@@ -282,41 +282,30 @@ def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
     assert began.sum() == (modes.MODES - 6) * len(SPACING)  # there is nothing from which to return
 
 
-def grow_old(seconds, step=lambda bank, row: bank, dt=0.004):
-    """A bank after some time, with which ``step`` may do something at every sample."""
-    bank = inference.start_bank(np.zeros(3))
-    for row in range(round(seconds / dt)):
-        bank = step(inference.open_slots(bank, ALIKE - 5.0 * (bank.age[0] >= 0.0), NONE, dt), row)
-    return bank
+def ages(worth, seconds=6.0, dt=0.004):
+    """Ages of the onsets of each ring in the end; ``worth`` is that of slots by when they began [s]."""
+    bank, now = inference.start_bank(np.zeros(3)), 0.0
+    for _ in range(round(seconds / dt)):
+        age = bank.age[0]
+        likely = np.where(age >= 0.0, worth(now - age), inference.LOWEST)
+        bank = inference.open_slots(bank, ALIKE + likely, NONE, dt)
+        now += dt
+    return [np.sort(bank.age[0, FIRST[k] : FIRST[k + 1]]) for k in range(len(SLOTS))]
 
 
-def test_onsets_stand_for_all_the_time_that_has_passed_once():
-    bank = grow_old(10.0)
-    stands = np.where(bank.age >= 0.0, np.exp(bank.stands), 0.0).sum(axis=-1)
-    assert stands == pytest.approx(np.full(modes.EFFECTS, 10.0 - LEARNING), abs=0.05)
-    assert (np.diff(np.sort(bank.age, axis=-1))[bank.age[:, 1:] >= 0.0] >= 0.0).all()
+@pytest.mark.parametrize("likely", [0.0, -5.0])
+def test_the_oldest_onset_goes_where_nothing_is_likely(likely):
+    full = ages(lambda began: 0.0 * began + likely, seconds=max(np.multiply(SPACING, SLOTS)) + 1.0)
+    for row, spacing, slots in zip(full, SPACING, SLOTS, strict=True):
+        steps = np.ceil(spacing / 0.004 - 1e-6) * 0.004
+        assert np.diff(row) == pytest.approx(np.full(slots - 1, steps), abs=1e-9)
+        assert row[0] < steps
 
 
-def test_the_oldest_onset_goes_where_nothing_is_likely():
-    lasts = sum(np.multiply(SPACING, SLOTS)[-2:])
-    assert lasts - 2.0 * SPACING[-1] < grow_old(20.0).age.max() < lasts
-
-
-@pytest.mark.parametrize("effect", range(modes.EFFECTS))
-def test_the_onset_that_fits_best_stays_of_its_mode_alone(effect):
-    def show(bank, row):
-        if row != 250:
-            return bank
-        assert (bank.age[effect, : SLOTS[0]] == 0.0).any()
-        bank.d[0, 0, 0, effect] += 20.0 * (bank.age[effect] == 0.0)
-        bank.J[0, 0, 0, effect] += 20.0 * (bank.age[effect] == 0.0)
-        return bank
-
-    bank = grow_old(8.0, show)
-    held = (abs(bank.age - (8.0 - 250 * 0.004)) < 0.006).any(axis=-1)
-    assert np.flatnonzero(held).tolist() == [effect]
-    which = abs(bank.age[effect] - (8.0 - 250 * 0.004)) < 0.006
-    assert np.exp(bank.stands[effect, which]) < 0.3 * SPACING[-1]  # of the others there are few
+def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
+    fast, *_ = ages(lambda began: 8.0 * (abs(began - 1.0) < 0.003))
+    assert fast[-1] == pytest.approx(5.0, abs=0.006)
+    assert fast[:-1] == pytest.approx(np.arange(len(fast) - 1) * 0.004, abs=1e-9)
 
 
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
@@ -340,17 +329,15 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
     assert np.array_equal(gone.any(axis=-1), expected)
 
 
-@pytest.mark.parametrize("settled", [True, False])
-def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other(settled):
-    """If that says nothing of the gyro, what this has shown still counts."""
+def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other():
     bank = inference.start_bank(np.zeros(3))
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0, square=bank.square + 1.0, count=bank.count + 1.0)
-    after = inference.forget(bank, np.array([True, False, False]), THERE & settled, NONE)
-    left = np.array([[not settled, True, True], [False, True, True]])  # by gyro and attitude
+    after = inference.forget(bank, np.array([True, False, False]), THERE, NONE)
+    others = np.array([0.0, 1.0, 1.0])
     for part in (after.J, after.d):
-        np.testing.assert_array_equal(part, np.broadcast_to(left[:, None, :, None, None], part.shape))
+        np.testing.assert_array_equal(part, np.broadcast_to(others[:, None, None], part.shape))
     for part in (after.square, after.count):
-        np.testing.assert_array_equal(part, np.broadcast_to(left[..., None], part.shape))
+        np.testing.assert_array_equal(part, np.broadcast_to(others[:, None], part.shape))
 
 
 def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_does():

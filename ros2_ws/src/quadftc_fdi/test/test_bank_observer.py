@@ -205,7 +205,7 @@ def test_a_gyro_that_oscillates_is_named_and_no_attitude(axis):
 @pytest.mark.parametrize(
     ("sensor", "size", "power", "within"),
     [
-        ("gyro", 0.3, 0, 0.012),
+        ("gyro", 0.3, 0, 0.008),
         ("gyro", -0.08, 0, 0.1),
         ("gyro", 0.2, 1, 0.6),
         ("attitude", -3.0 * DEG, 0, 0.012),

@@ -9,10 +9,8 @@ With b ~ N(0, P0) the evidence for the mode, against none, is marginal in size a
 
     l = d' (J + 1/P0)^-1 d / 2 - ln det(I + P0 J) / 2
 
-Onsets have slots, in four rings, one every `SPACING`. The first ring takes new ones. A later ring takes, of
-each effect, the onset that fits best of all that the ring before has taken since. That stands for them: for
-the times of all, each by how well it fits. So a step keeps its sample. Of the last ring the least likely
-goes, and the oldest where nothing is likely.
+Onsets have slots, in four rings. A ring takes an onset every `SPACING`; of its slots the least likely goes,
+and the oldest where nothing is likely. So a hypothesis "since 40 ms" has never used the samples since.
 
 A sensor that drifts may be right again before it is named: it jumps back to where the filter no longer is. A
 return is the likeliest fault of attitude or gyro so far, with all that speaks for it. From its onset on that
@@ -72,7 +70,6 @@ from quadftc_model.arrays import (
     Mask,
     Scalar,
     Vector,
-    branch,
     clip,
     column,
     exp,
@@ -84,7 +81,7 @@ from quadftc_model.arrays import (
 )
 
 SPACING = (0.004, 0.04, 0.25, 1.5)  # s; chosen: how often each ring takes an onset
-SLOTS = (10, 7, 6, 8)  # 1; chosen: how many onsets each ring has, 31 in all
+SLOTS = (9, 12, 11, 8)  # 1; chosen: how many onsets each ring has, 40 in all
 RING = np.repeat(np.arange(len(SLOTS)), SLOTS)
 FIRST = np.cumsum((0, *SLOTS))
 OF_GYRO, OF_ATTITUDE = range(2)  # channels
@@ -97,9 +94,8 @@ LOWEST = -1e9  # 1; mark: log weight of such a slot
 CERTAIN = 50.0  # 1; rounding: log of odds
 WILDS = slice(3 * WILD, None)  # modes
 RETURNS = ((RETURN, OF_ATTITUDE), (GYRO_RETURN, OF_GYRO))  # and whose faults they end
-ENDS = [slice(3 * kind, 3 * kind + 3) for kind, _ in RETURNS]  # their effects
-USUAL = np.log(RATE)[:, None]  # log of the prior, per second for which an onset stands
-STANDS = np.log(np.array(SPACING))[RING]  # log of that [s], at first
+# log of the prior: rate times what a slot covers
+USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 
 
 class Bank(NamedTuple):
@@ -111,15 +107,11 @@ class Bank(NamedTuple):
     square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
     count: Array  # of these innovations (..., 2, axes, slots)
     age: Array  # of onsets (..., modes, slots) [s]
-    stands: Array  # log of the time for which onsets stand (..., modes, slots) [s]
     started: Array  # log of the prior of the faults that returns end (..., 2, axes, slots)
     since: Array  # since each ring took an onset (..., rings) [s]
     doubt: Array  # largest temper at the onset (..., 2, axes, slots)
     temper: Array  # of both channels (..., 2, axes, rings)
     learned: Array  # how long that was learned (..., 2, axes, rings) [s]
-
-
-BY_SLOT = ("U", "J", "d", "square", "count", "age", "stands", "started", "doubt")
 
 
 class Posterior(NamedTuple):
@@ -140,8 +132,7 @@ def start_bank(like: Vector) -> Bank:
     none, since = xp.zeros((*batch, 2, 3, len(RING))), xp.zeros((*batch, len(SLOTS))) - LEARNING
     started = none + LOWEST
     doubt = none + DOUBT, temper + DOUBT
-    stands = xp.zeros_like(age) + STANDS
-    return Bank(U, J, J[..., :2, :, :, :], none, none, age, stands, started, since, *doubt, temper)
+    return Bank(U, J, J[..., :2, :, :, :], none, none, age, started, since, *doubt, temper)
 
 
 def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
@@ -176,17 +167,15 @@ def open_slots(state: Bank, worth: Array, failing: Flag, dt: Scalar) -> Bank:
     new: list[Array] = []
     for ring in range(len(SLOTS)):
         row = keep[..., FIRST[ring] : FIRST[ring + 1]]
-        least = _first(row == row.min(axis=-1, keepdims=True))
-        new.append((least > 0.0) & due[..., ring : ring + 1])
+        least = row == row.min(axis=-1, keepdims=True)
+        new.append(least & (xp.cumsum(1.0 * least, axis=-1) <= 1.0) & due[..., ring : ring + 1])
     fresh = xp.concatenate(new, axis=-1)[..., None, :]
     jump = np.zeros((STATES, 3, 2, EFFECTS, 1))
     jump[D, :, 0, :, 0] = pattern(PUSH)
     ended = [_likeliest(state, worth, channel, failing) for _, channel in RETURNS]
     best, started = [each for each, _ in ended], xp.stack([prior for _, prior in ended], axis=-3)
     temper = state.temper.max(axis=-1)[..., None]
-    state = state._replace(age=age)
-    opened = state._replace(
-        stands=where(fresh, STANDS, state.stands),
+    return state._replace(
         U=where(fresh[..., None, None, None, :, :], jump + _returning(state.U, best), state.U),
         J=where(fresh[..., None, None, None, :, :], _returning(state.J, best), state.J),
         d=where(fresh[..., None, None, None, :, :], _returning(state.d, best), state.d),
@@ -197,63 +186,6 @@ def open_slots(state: Bank, worth: Array, failing: Flag, dt: Scalar) -> Bank:
         age=where(fresh, 0.0, age),
         since=where(due, 0.0, since),
     )
-    return branch(due[..., 1:].any(axis=-1), lambda: _merged(state, opened, fresh), lambda: opened)
-
-
-def _merged(state: Bank, opened: Bank, fresh: Array) -> Bank:
-    """Let a new onset of a later ring be, of each effect, the likeliest since the last in the ring before.
-
-    It stands for all of these, which go. They are compared by how well size and slope fit.
-    """
-    xp = namespace(fresh)
-    J, d = (part.sum(axis=(-3, -5)) for part in (state.J, state.d))
-    gains = (d * _solved(J, d, PRIOR[:EFFECTS])[1]).sum(axis=-3)
-    square, count = (part.sum(axis=-3)[..., AXIS[:EFFECTS], :] for part in (state.square, state.count))
-    fits = 0.5 * gains / larger((square - gains) / larger(count, 1.0), 1.0)
-    rings = [_of_ring(opened, ring) for ring in range(len(SLOTS))]
-    for ring in range(1, len(SLOTS)):
-        before, now, last = _of_ring(state, ring - 1), rings[ring], rings[ring - 1]
-        slots, new = slice(FIRST[ring - 1], FIRST[ring]), fresh[..., FIRST[ring] : FIRST[ring + 1]]
-        began = before.age >= 0.0
-        fit = where(began, fits[..., slots], LOWEST)
-        best = fit.max(axis=-1, keepdims=True)
-        pick = _first(fit == best)
-        more = log(larger((began * exp(fit - best)).sum(axis=-1, keepdims=True), 1.0))
-        over = began & new.any(axis=-1, keepdims=True) & ~fresh[..., slots]
-        new = new & began.any(axis=-1, keepdims=True)
-        of_all = [part[..., None, None, None, :, :] for part in (new, pick)]
-        of_tests = [xp.stack([part[..., of, :] for of in TESTS], axis=-3) for part in (new, pick)]
-        of_returns = [xp.stack([part[..., of, :] for of in ENDS], axis=-3) for part in (new, pick)]
-        rings[ring - 1] = last._replace(age=where(over, NEVER, last.age))
-        rings[ring] = now._replace(
-            U=_taken(of_all, before.U, now.U),
-            J=_taken(of_all, before.J, now.J),
-            d=_taken(of_all, before.d, now.d),
-            square=_taken(of_tests, before.square, now.square),
-            count=_taken(of_tests, before.count, now.count),
-            age=_taken([new, pick], before.age, now.age),
-            stands=_taken([new, pick], before.stands + more, now.stands),
-            started=_taken(of_returns, before.started, now.started),
-            doubt=_taken(of_tests, before.doubt, now.doubt),
-        )
-    joined = {name: xp.concatenate([getattr(each, name) for each in rings], axis=-1) for name in BY_SLOT}
-    return opened._replace(**joined)
-
-
-def _first(mask: Array) -> Array:
-    """Return 1 at the first of the last axis that holds, else 0."""
-    return 1.0 * (mask & (namespace(mask).cumsum(1.0 * mask, axis=-1) <= 1.0))
-
-
-def _taken(by: list[Array], before: Array, now: Array) -> Array:
-    """Put what was picked ``before`` where there is a new onset; ``by`` says where, and what."""
-    new, pick = by
-    return where(new, (before * pick).sum(axis=-1, keepdims=True), now)
-
-
-def _of_ring(state: Bank, ring: int) -> Bank:
-    slots = slice(FIRST[ring], FIRST[ring + 1])
-    return state._replace(**{name: getattr(state, name)[..., slots] for name in BY_SLOT})
 
 
 def _likeliest(state: Bank, worth: Array, channel: int, failing: Flag) -> tuple[Array, Array]:
@@ -264,7 +196,7 @@ def _likeliest(state: Bank, worth: Array, channel: int, failing: Flag) -> tuple[
     highest = likely.max(axis=-1, keepdims=True)
     best = 1.0 * (likely == highest)
     best = best / best.sum(axis=-1, keepdims=True)
-    prior = ((USUAL[ended] + state.stands[..., ended, :]) * best).sum(axis=-1, keepdims=True)
+    prior = (USUAL[ended] * best).sum(axis=-1, keepdims=True)
     prior = prior + where(failing[..., channel], MORE, 0.0)[..., None, None]
     return best, where(highest > LOWEST, prior, LOWEST)
 
@@ -368,8 +300,7 @@ def believe(
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
     both = (good_attitude & column(driven))[..., AXIS]
     began = (state.age[..., EFFECT, :] >= 0.0) & (both | (KIND != WILD))[..., None]
-    prior = USUAL + state.stands[..., EFFECT, :]
-    prior = prior + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
+    prior = USUAL + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
     prior = prior + where((NAME == GYRO) & ~held[..., AXIS], rarer, 0.0)[..., None]
     for k, (kind, _) in enumerate(RETURNS):
         prior = prior + where(np.equal(KIND, kind)[:, None], state.started[..., k, AXIS, :], 0.0)
@@ -383,8 +314,7 @@ def believe(
     early = smaller(b[..., 0, :, :], 0.0) * (EFFECT // 3 == LATE)[:, None]  # no attitude leads
     evidence = evidence - 0.5 * early**2 / covariance[..., 0, :, :]
     weight = where(began, evidence + by_scatter / of_modes[..., 0, :, :] + prior, LOWEST)
-    usual = USUAL[3 * PUSH : 3 * PUSH + 3] + state.stands[..., TESTS[OF_GYRO], :]
-    innocent = _scattering(heard, number, louder) / doubt[..., None] + usual
+    innocent = _scattering(heard, number, louder) / doubt[..., None] + USUAL[3 * PUSH : 3 * PUSH + 3]
     more = weight[..., WILDS, :].max(axis=-1) - innocent.max(axis=-1)
     return Posterior(weight, b, covariance, 1.0 / (1.0 + exp(clip(more, -CERTAIN, CERTAIN))))
 
@@ -446,9 +376,7 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
         J, d = (part[..., channel, :, :, modes, :].sum(axis=-3) * raw for part in (state.J, state.d))
         _, b, covariance = _solved(J, d, PRIOR[modes])
         began = 1.0 * (state.age[..., modes, :] >= 0.0)
-        # the likeliest of several onsets fits by chance
-        chosen = 2.0 * (STANDS - state.stands[..., modes, :])
-        found.append((began * larger((d * b).sum(axis=-3) - chosen, 0.0)) @ rings)
+        found.append((began * (d * b).sum(axis=-3)) @ rings)
         usual = (covariance * J * np.array([1.0, 2.0, 1.0])[:, None, None]).sum(axis=-3)
         expected.append((began * usual) @ rings)
     square, usual = xp.stack(found, axis=-3), xp.stack(expected, axis=-3)  # (..., 2, axes, rings)
@@ -468,12 +396,11 @@ def forget(state: Bank, axes: Mask, settled: Mask, alone: Mask) -> Bank:
     that is ``alone``, as its attitude is not there, needs new evidence: by torque alone all axes look alike.
     """
     own = AXIS[:EFFECTS]
-    xp, of_gyro = namespace(state.age), KIND[:EFFECTS] == GYRO
+    of_gyro = KIND[:EFFECTS] == GYRO
     gone = (axes[..., own] & (settled[..., own] | ~of_gyro))[..., None]
     again = (alone[..., own] & of_gyro)[..., None]
-    shown = xp.stack([axes & settled, axes], axis=-2)  # by gyro and attitude (..., 2, axes)
-    lost = shown[..., None, :, None, None] | again[..., None, None, None, :, :]  # with axes, effects, slots
-    J, d = (where(lost, 0.0, part) for part in (state.J, state.d))
-    heard = (shown | alone[..., None, :])[..., None]
+    lost = axes[..., :, None, None] | again[..., None, :, :]  # (..., axes, effects, 1)
+    J, d = (where(lost[..., None, None, :, :, :], 0.0, part) for part in (state.J, state.d))
+    heard = (axes | alone)[..., None, :, None]
     square, count = (where(heard, 0.0, part) for part in (state.square, state.count))
     return state._replace(age=where(gone, NEVER, state.age), J=J, d=d, square=square, count=count)

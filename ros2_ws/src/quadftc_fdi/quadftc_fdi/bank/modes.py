@@ -3,8 +3,8 @@
 A mode adds b + s t to a reading, t after its onset, or b to the unknown acceleration at its onset; a return
 ends what an earlier onset has added. What is known of size b and slope s beforehand is normal about zero.
 
-A gyro that jumps and stays, and a sensor that drifts from zero, are rows of their own. Where size and slope
-may be anything, either is unlikely, and the other sensor would be blamed for a slow discrepancy.
+A gyro that jumps and stays is a row beside one that drifts: with a slope that may be anything, a constant
+offset is unlikely, and a slow discrepancy would be the attitude's.
 
 An attitude that is late by b reads b (A - 1) / T of the angle too much, where A delays by T, `noise.LONGER`:
 Padé's all-pass (1 - s T/2) / (1 + s T/2). No attitude is early.
@@ -22,7 +22,7 @@ from quadftc_fdi.bank.noise import LONGER
 from quadftc_model.arrays import Scalar, Vector, column, exp
 
 # rows of the kinds; the first seven have an effect of their own
-ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, JUMP, LAG, STEADY, DRIFT, CREEP, WILD = range(13)
+ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, JUMP, LAG, STEADY, WILD = range(11)
 
 
 class Kind(NamedTuple):
@@ -57,13 +57,11 @@ KINDS = (
     Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
     Kind("attitude", False, LAGS, NONE, EVENTS),
     Kind("gyro", True, GYRO_SIZE, NONE, FAULTS),
-    Kind("gyro", True, NONE, GYRO_SIZE, FAULTS),
-    Kind("attitude", True, NONE, ATTITUDE_SLOPE, FAULTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
 # whose effect each kind has, and what each says
-CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, ATTITUDE, LATE, GYRO, GYRO, ATTITUDE, GYRO)
-NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, FELT, GYRO_RETURN, JUMP, LAG, GYRO, GYRO, ATTITUDE, GYRO)
+CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, ATTITUDE, LATE, GYRO, GYRO)
+NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, FELT, GYRO_RETURN, JUMP, LAG, GYRO, GYRO)
 MODES = 3 * len(KINDS)
 EFFECTS = 21  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))

@@ -183,9 +183,7 @@ def follow_tilt(state: FreeFlight, fault: Vector, age: Vector, new: Mask, dt: Sc
     """Follow what b shows of attitude faults [rad] of an age [s]. ``new`` ones have grown evenly so far."""
     lag = column(larger(lag_of(state), SHORTEST))
     ago = larger(age, larger(dt, SHORTEST))
-    x = ago / lag
-    share = where(x < 1e-3, 0.5 * x - x * x / 6.0, 1.0 - (1.0 - exp(-x)) / larger(x, 1e-3))  # rounding
-    grown = fault * share
+    grown = fault * (1.0 - lag / ago * (1.0 - exp(-ago / lag)))
     return state._replace(due=where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due)))
 
 
