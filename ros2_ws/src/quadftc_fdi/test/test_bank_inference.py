@@ -329,15 +329,17 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
     assert np.array_equal(gone.any(axis=-1), expected)
 
 
-def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other():
+@pytest.mark.parametrize("settled", [True, False])
+def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other(settled):
+    """If that says nothing of the gyro, what this has shown still counts."""
     bank = inference.start_bank(np.zeros(3))
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0, square=bank.square + 1.0, count=bank.count + 1.0)
-    after = inference.forget(bank, np.array([True, False, False]), THERE, NONE)
-    others = np.array([0.0, 1.0, 1.0])
+    after = inference.forget(bank, np.array([True, False, False]), THERE & settled, NONE)
+    left = np.array([[not settled, True, True], [False, True, True]])  # by gyro and attitude
     for part in (after.J, after.d):
-        np.testing.assert_array_equal(part, np.broadcast_to(others[:, None, None], part.shape))
+        np.testing.assert_array_equal(part, np.broadcast_to(left[:, None, :, None, None], part.shape))
     for part in (after.square, after.count):
-        np.testing.assert_array_equal(part, np.broadcast_to(others[:, None], part.shape))
+        np.testing.assert_array_equal(part, np.broadcast_to(left[..., None], part.shape))
 
 
 def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_does():

@@ -396,11 +396,12 @@ def forget(state: Bank, axes: Mask, settled: Mask, alone: Mask) -> Bank:
     that is ``alone``, as its attitude is not there, needs new evidence: by torque alone all axes look alike.
     """
     own = AXIS[:EFFECTS]
-    of_gyro = KIND[:EFFECTS] == GYRO
+    xp, of_gyro = namespace(state.age), KIND[:EFFECTS] == GYRO
     gone = (axes[..., own] & (settled[..., own] | ~of_gyro))[..., None]
     again = (alone[..., own] & of_gyro)[..., None]
-    lost = axes[..., :, None, None] | again[..., None, :, :]  # (..., axes, effects, 1)
-    J, d = (where(lost[..., None, None, :, :, :], 0.0, part) for part in (state.J, state.d))
-    heard = (axes | alone)[..., None, :, None]
+    shown = xp.stack([axes & settled, axes], axis=-2)  # by gyro and attitude (..., 2, axes)
+    lost = shown[..., None, :, None, None] | again[..., None, None, None, :, :]  # with axes, effects, slots
+    J, d = (where(lost, 0.0, part) for part in (state.J, state.d))
+    heard = (shown | alone[..., None, :])[..., None]
     square, count = (where(heard, 0.0, part) for part in (state.square, state.count))
     return state._replace(age=where(gone, NEVER, state.age), J=J, d=d, square=square, count=count)
