@@ -391,7 +391,7 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
 def forget(state: Bank, axes: Mask, settled: Mask, alone: Mask) -> Bank:
     """Drop all hypotheses of some axes (..., 3): from now on the filter believes otherwise.
 
-    Where it is not ``settled`` (..., 3) whether the gyro is faulty, its faults stay, to be judged anew.
+    Where it is not ``settled`` (..., 3) whether the gyro is faulty, its faults stay, and what it has shown.
     Hypotheses of other axes lose what these axes have shown: it was of the fault that is believed. A gyro
     that is ``alone``, as its attitude is not there, needs new evidence: by torque alone all axes look alike.
     """

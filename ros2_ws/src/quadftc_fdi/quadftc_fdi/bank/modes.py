@@ -84,7 +84,7 @@ def pattern(kind: int) -> NDArray[np.float64]:
 def ahead(lead: Vector, turned: Vector, dt: Scalar) -> Vector:
     """Return by how much angles lead those that follow them with a time constant of T/2 [rad].
 
-    They have ``turned`` [rad] in ``dt`` [s], as the gyro says: what corrects an angle is no motion.
+    They have ``turned`` [rad] in ``dt`` [s], as was predicted: what corrects an angle is no motion.
     """
     half = exp(-column(dt) / LONGER)
     return half * (half * lead + turned)

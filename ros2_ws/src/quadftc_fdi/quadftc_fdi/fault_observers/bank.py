@@ -348,7 +348,9 @@ class BankObserver(FlightLaw):
         good_gyro: Mask,
         driven: Flag,
     ) -> Array:
-        """Which mode is beyond doubt (..., modes); at most one. ``aged`` is p times the age of its onset [s].
+        """Which mode to believe (..., modes); at most one: the likeliest of a name that is beyond doubt.
+
+        ``aged`` is p times the age of its onset [s].
 
         Twice the certainty is needed without a torque, and of an attitude without a gyro: only one witness is
         left. It is needed of an attitude of which the position is ``asked`` (..., 3), as that speaks late; of
