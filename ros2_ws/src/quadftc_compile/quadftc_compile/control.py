@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from quadftc_compile.emit import MANY, WHOLE, Emitter, Storage
+from quadftc_compile.emit import WHOLE, Emitter, Storage
 from quadftc_compile.graph import Graph, Node
+from quadftc_compile.plan import ADDRESSED, MANY
 from quadftc_compile.text import Index
 
 
@@ -108,3 +109,4 @@ def _move(
 
 
 WHOLE |= {"cond": write_cond, "scan": write_scan}
+ADDRESSED.update(WHOLE)

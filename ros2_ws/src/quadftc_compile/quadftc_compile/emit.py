@@ -11,13 +11,12 @@ wherever it stands.
 
 from __future__ import annotations
 
-import collections
 import dataclasses
 import functools
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -25,14 +24,9 @@ from quadftc_compile import text
 from quadftc_compile.graph import VIEWS, Graph, Node, UntraceableError
 from quadftc_compile.layout import C_TYPES
 from quadftc_compile.operators import ELEMENTWISE, operate
+from quadftc_compile.plan import ADDRESSED, FEW, MANY, Plan, keeps_axes
 from quadftc_compile.text import Expression, Index, Indices, flat, variable
 from quadftc_model.arrays import AnyArray
-
-FEW = 4  # numbers of an array that is written number by number
-MANY = 1000  # numbers of an array that it costs much to copy
-LONGEST = 24  # operations in one statement
-PARTS = 16  # along an axis on which arrays are joined, up to which loops of it are written part by part
-CHEAP = {"add", "sub", "mul", "select_n"}  # done twice in less time than their numbers are kept and read
 
 HELPERS = """\
 static inline {real} larger({real} x, {real} y) {{ return x >= y || x != x ? x : y; }}
@@ -70,7 +64,6 @@ Statement = Callable[["Emitter", Node, Storage], None]
 STATEMENTS: dict[str, Statement] = {}  # operations that are not done number by number
 # those with several results, some of which go to places that are known
 WHOLE: dict[str, Callable[[Emitter, Node, Mapping[int, Storage]], None]] = {}
-ADDRESSED: set[str] = set()  # operations that read their operands as arrays that lie in one piece
 
 
 def statement(*names: str, addressed: bool = False) -> Callable[[Statement], Statement]:
@@ -84,137 +77,9 @@ def statement(*names: str, addressed: bool = False) -> Callable[[Statement], Sta
     return add
 
 
-class Plan:
-    """Which results of a graph are kept, and which are written where they are used."""
-
-    def __init__(self, graph: Graph) -> None:
-        self.inlined: set[int] = set()
-        self.looped: set[int] = set()  # read inside of loops, or as an array
-        self._kept: set[int] = set()  # read as an array in one piece
-        self._reads: dict[int, float] = collections.defaultdict(float)  # how often each number is read
-        for node in graph.outputs:
-            self._reads[id(node)] += 1.0
-            if node.size > FEW:
-                self.looped.add(id(node))
-        for node in reversed(graph.nodes):
-            self._decide(node)
-        self._shorten(graph)
-        self.inlined -= {id(each) for each in graph.outputs if each.op not in VIEWS}
-        # by node: what is read there for the last time; ``over``: each number only for that at its place
-        self.last: dict[int, list[Node]] = collections.defaultdict(list)
-        self.over: dict[int, list[Node]] = collections.defaultdict(list)
-        self.ends: dict[int, tuple[Node, bool]] = {}  # the same of inputs
-        self.shown: set[int] = set()  # what outputs are views of, which read it after all else
-        self._find_last(graph)
-
-    def takes_over(self, graph: Graph, given: Node, made: Node) -> bool:
-        """Whether an output can be written where an input is, one that is no other output."""
-        if id(given) in self.shown or any(each is given for each in graph.outputs if each is not made):
-            return False
-        if made is given or id(given) not in self.ends:
-            return True
-        last, in_place = self.ends[id(given)]
-        order = [id(each) for each in graph.nodes]
-        earlier = made.op in ELEMENTWISE and order.index(id(last)) < order.index(id(made))
-        return in_place if last is made else earlier
-
-    def _find_last(self, graph: Graph) -> None:
-        """Find for each node that is kept which others nobody reads after it."""
-        reader: dict[int, tuple[Node, Node, bool]] = {}  # of what is kept: itself, and the last that reads it
-        through: dict[int, dict[Node, bool]] = {}  # of what is inlined: what it reads, and if at its place
-        for node in graph.nodes:
-            by_number = node.op in ELEMENTWISE
-            read: dict[Node, bool] = {}
-            for operand in node.operands:
-                alike = node.op == "reshape" or (by_number and operand.shape == node.shape)
-                for kept, in_place in through.get(id(operand), {operand: True}).items():
-                    read[kept] = read.get(kept, True) and alike and in_place
-            if id(node) in self.inlined or node.op == "result":
-                through[id(node)] = read if node.op != "result" else {node: True}
-            else:
-                reader |= {id(each): (each, node, in_place) for each, in_place in read.items()}
-        self.shown = {id(kept) for each in graph.outputs for kept in through.get(id(each), ())}
-        outputs = self.shown | {id(each) for each in graph.outputs}
-        for each, last, in_place in reader.values():
-            fits = in_place and each.dtype == last.dtype and each.size == last.size
-            if each.op == "input":  # those belong to who has made them
-                self.ends[id(each)] = last, fits
-            elif id(each) not in outputs:
-                (self.over if fits else self.last)[id(last)].append(each)
-
-    def _decide(self, node: Node) -> None:
-        """Decide on a node, those that read it being decided on."""
-        reads, looped = self._reads[id(node)], id(node) in self.looped
-        if node.op == "reshape" and (id(node) in self._kept or (looped and not keeps_axes(node))):
-            self._kept.discard(id(node))  # it lies where what it reshapes lies
-            self._kept.add(id(node.operands[0]))
-        inline = id(node) not in self._kept and self._is_inlined(node, reads, looped)
-        loops = looped if inline else node.size > FEW
-        if inline:
-            self.inlined.add(id(node))
-        for operand, times in self._reads_of(node, reads if inline else 1.0):
-            self._reads[id(operand)] += times
-            if loops or node.op not in {*VIEWS, *ELEMENTWISE}:
-                self.looped.add(id(operand))
-            if node.op in ADDRESSED or node.op in WHOLE:
-                self._kept.add(id(operand))
-
-    def _is_inlined(self, node: Node, reads: float, looped: bool) -> bool:
-        if node.op == "concatenate":
-            return not looped or (node.size >= MANY and node.shape[node.params["dimension"]] <= PARTS)
-        if node.op in VIEWS or node.op == "result":
-            return True
-        most = 2.0 if node.size >= MANY and node.op in CHEAP else 1.0
-        return node.op in ELEMENTWISE and reads <= most + 1e-9
-
-    def _reads_of(self, node: Node, reads: float) -> Iterator[tuple[Node, float]]:
-        """Yield how often each number of the operands is read, on average."""
-        for operand in node.operands:
-            if operand.op in ("constant", "input") or operand.size == 0:
-                continue
-            if node.op == "concatenate":
-                yield operand, reads
-            elif node.op in VIEWS or node.op in ELEMENTWISE:
-                yield operand, reads * node.size / operand.size
-            else:
-                yield operand, 1.0 if node.op.startswith("reduce_") else 2.0
-
-    def _shorten(self, graph: Graph) -> None:
-        """Keep some more results, so that no statement gets too long."""
-        length: dict[int, int] = {}
-        for node in graph.nodes:
-            own = 0 if node.op in VIEWS else 1
-            total = own + sum(length.get(id(each), 0) for each in node.operands)
-            if id(node) in self.inlined and node.op in ELEMENTWISE and total > LONGEST:
-                self.inlined.discard(id(node))
-            length[id(node)] = total if id(node) in self.inlined else 0
-
-
-def _taken_over(result: Node, plan: Plan) -> list[Node]:
-    """Return what a branch can write a result over: an operand that nobody reads any more."""
-    (cond,) = result.operands
-    if cond.op != "cond":
-        return []
-    made, graphs, given = result.params["index"], cond.params["graphs"], cond.operands[1:]
-    return [
-        each
-        for k, each in enumerate(given)
-        if each in plan.last[id(cond)]
-        and each.shape == result.shape
-        and given.count(each) == 1
-        and all(Plan(graph).takes_over(graph, graph.inputs[k], graph.outputs[made]) for graph in graphs)
-    ]
-
-
 def _place_along(axis: int, place: int, at: Indices) -> list[Index]:
     """Return indices with one that is known along an axis."""
     return [Index(place) if k == axis else index for k, index in enumerate(at)]
-
-
-def keeps_axes(node: Node) -> bool:
-    """Whether a reshape only adds and removes axes of length 1."""
-    (x,) = node.operands
-    return [n for n in x.shape if n != 1] == [n for n in node.shape if n != 1]
 
 
 @dataclasses.dataclass
@@ -266,7 +131,7 @@ class Emitter:
 
     def _begin_there(self, node: Node, where: Storage, targets: dict[int, Storage]) -> None:
         """Have what a node is made of, number by number, computed where the node goes."""
-        for each in self._plan.over[id(node)] if node.op != "result" else _taken_over(node, self._plan):
+        for each in self._plan.over[id(node)] if node.op != "result" else self._plan.taken_over(node):
             known = id(each) in targets or each.op in ("result", "input")
             if each.size >= MANY and each.dtype.kind == "f" and not known:
                 targets[id(each)] = where

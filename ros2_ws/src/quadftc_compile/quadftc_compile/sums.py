@@ -7,9 +7,10 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from quadftc_compile.emit import FEW, Emitter, JoinedError, Storage, statement
+from quadftc_compile.emit import Emitter, JoinedError, Storage, statement
 from quadftc_compile.graph import VIEWS, Node
 from quadftc_compile.operators import BITS, combine
+from quadftc_compile.plan import FEW
 from quadftc_compile.text import Expression, Index, Indices, binary, variable
 
 WRITTEN_OUT = 16  # terms of a sum that are written out in one expression
