@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from in_c import fly_arrays
 
-from quadftc_fdi.bank import modes, readings
+from quadftc_fdi.bank import decide, modes, readings
 from quadftc_fdi.fault_observer import is_usable_estimate
 from quadftc_fdi.fault_observers.bank import BankObserver
 from quadftc_model.arrays import rows_of
@@ -129,8 +129,9 @@ def test_of_a_sensor_that_is_beyond_doubt_the_likeliest_mode_is_believed():
     p, doubt, few = np.zeros(modes.MODES), np.ones(modes.MODES), 1e-3
     step, wild = 3 * modes.GYRO, 3 * modes.WILD
     p[step], p[wild], doubt[step], doubt[wild] = few, 1.0 - few, few, few
-    law, none, there = BankObserver(vehicle=QBALL), np.zeros(3, bool), np.ones(3, bool)
-    assert np.flatnonzero(law._named(p, doubt, p, none, there, np.ones(1, bool))).tolist() == [wild]
+    witnesses = np.zeros(3, bool), np.ones(3, bool), np.ones(1, bool)
+    named = decide.named_mode(p, doubt, p, *witnesses, few=0.01, repeats_gyro=False)
+    assert np.flatnonzero(named).tolist() == [wild]
 
 
 @pytest.mark.parametrize("by", [0.2, 0.3])

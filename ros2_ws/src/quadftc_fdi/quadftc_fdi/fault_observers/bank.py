@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from quadftc_fdi.bank import inference, modes, motion, noise, readings, translation, trust
+from quadftc_fdi.bank import decide, inference, modes, motion, noise, readings, translation, trust
+from quadftc_fdi.bank.decide import Seen
 from quadftc_fdi.bank.inference import OF_ATTITUDE, OF_GYRO, Bank, Posterior
 from quadftc_fdi.bank.motion import Gains, Motion
 from quadftc_fdi.bank.noise import Learning, Noise
@@ -37,8 +36,6 @@ from quadftc_model.arrays import (
     log,
     namespace,
     sin,
-    smaller,
-    sqrt,
     stacked,
     where,
 )
@@ -46,15 +43,11 @@ from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler, turn, wrap
 from quadftc_model.samples import (
-    FAULT_KINDS,
     FaultEstimate,
     FaultObserverInputs,
     ImuSample,
     SensorDiagnosis,
-    SensorEstimate,
 )
-
-OFFSET, STUCK, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "absent"))
 
 
 class State(NamedTuple):
@@ -77,13 +70,16 @@ class State(NamedTuple):
     failed: Array  # of gyro, attitude, accelerometer: for how long a new fault is likelier [s] (..., 3)
 
 
-class Seen(NamedTuple):
-    """What a sensor reads by the motion."""
+class Measured(NamedTuple):
+    """What the readings of a sample have done to bank and motion."""
 
-    off: Vector  # reading less motion
-    variance: Vector  # of that
-    mine: Array  # probability of its modes (..., 3)
-    there: Flag  # there is a reading (..., 1)
+    bank: Bank
+    motion: Motion
+    by_attitude: Gains
+    off: Vector  # attitude less motion, as Euler angles [rad]
+    added: Array  # what a fault of 1 rad or 1 s adds to the rotation vector of the attitude (..., 3, effects)
+    lead: Vector  # see `State`
+    tilt: Gains | None  # by gravity; None if it is not felt
 
 
 @register("bank")
@@ -148,28 +144,28 @@ class BankObserver(FlightLaw):
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
         beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
         moved, known, torque = self._predict(state, inputs, read, turning, levels, dt)
-        bank, moved, by_attitude, off, added, lead, tilt = self._measure(
-            state, imu, moved, levels, (good_gyro, good_attitude), inputs.driven, dt
-        )
+        seen = self._measure(state, imu, moved, levels, (good_gyro, good_attitude), inputs.driven, dt)
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
-        bank = inference.disregard(bank, *stuck)
-        posterior, shares, p, named = self._infer(state, bank, beside, speaks, tilt, inputs.driven)
+        bank, off = inference.disregard(seen.bank, *stuck), seen.off
+        posterior, shares, p, named = self._infer(state, bank, beside, speaks, seen.tilt, inputs.driven)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
             is_sure,
-            lambda: trust.take_over(moved, bank, posterior, named, added, alone, inputs.driven),
-            lambda: (moved, bank, p[..., 0] * 0.0),
+            lambda: trust.take_over(seen.motion, bank, posterior, named, seen.added, alone, inputs.driven),
+            lambda: (seen.motion, bank, p[..., 0] * 0.0),
         )
-        attitude, gyro = (_said_of(sensor, 1.0 * named) > 0.0 for sensor in (modes.ATTITUDE, modes.GYRO))
+        attitude, gyro = (
+            decide.said_of(sensor, 1.0 * named) > 0.0 for sensor in (modes.ATTITUDE, modes.GYRO)
+        )
         # one witness of each axis stays: who names the last takes the other name back
         cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
         before = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
         angle = where(cleared[0] | gyro, _off(off, imu, believed, good_attitude), 0.0)
         believed = _doubted(believed, angle, gyro, named)
-        spread, white, there = by_attitude.variance, levels.attitude, imu.attitude_valid
+        spread, white, there = seen.by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, believed, dt)
         beside = translation.follow_fault(beside, off, attitude, before[0].faulty, stuck[0], dt)
-        force = self._watch_force(state, tilt, named, age, imu.force_valid, believed, dt)
+        force = self._watch_force(state, seen.tilt, named, age, imu.force_valid, believed, dt)
         gyro = trust.watch_gyro(
             before[1], gyro, age, believed, known, state.motion.bias, noise.louder(state.learning), dt
         )
@@ -191,7 +187,7 @@ class BankObserver(FlightLaw):
             worth=posterior.log_weight,
             rate=read,
             q_xyzw=where(column(there), imu.q_xyzw, turned),
-            lead=lead,
+            lead=seen.lead,
             torque=torque,
             translation=beside,
             failed=where(_faulty(gyro, attitude, force), trust.AGREES, larger(state.failed - dt, 0.0)),
@@ -200,11 +196,11 @@ class BankObserver(FlightLaw):
         shift = inference.expected_change(bank, posterior, shares * ~is_sure[..., None, None])
         flown = motion.moved_by(believed, shift)
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
-        seen = (
-            Seen(off, spread, _said_of(modes.ATTITUDE, p), column(there)),
-            Seen(gyro.size, of_bias, _said_of(modes.GYRO, p), column(imu.rate_valid)),
+        by_motion = (
+            Seen(off, spread, decide.said_of(modes.ATTITUDE, p), column(there)),
+            Seen(gyro.size, of_bias, decide.said_of(modes.GYRO, p), column(imu.rate_valid)),
         )
-        return self._said(after, inputs, flown, *seen, dt)
+        return self._said(after, inputs, flown, *by_motion, dt)
 
     def _measure(
         self,
@@ -215,12 +211,8 @@ class BankObserver(FlightLaw):
         good: tuple[Mask, Mask],
         driven: Flag,
         dt: float,
-    ) -> tuple[Bank, Motion, Gains, Vector, Array, Vector, Gains | None]:
-        """Take gyro and attitude where they are ``good``, and the tilt by gravity.
-
-        Return the bank, the motion, and of the attitude: gains, how far it is off [rad], what a fault of
-        1 rad or 1 s adds to its rotation vector, its lead. Last are the gains of the tilt, None if not felt.
-        """
+    ) -> Measured:
+        """Take gyro and attitude where they are ``good``, and the tilt by gravity."""
         good_gyro, good_attitude = good
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
         bank = inference.open_slots(bank, state.worth, state.failed > 0.0, dt)
@@ -245,7 +237,7 @@ class BankObserver(FlightLaw):
             expected = inference.of_tilt(bank, earth_z_in_body(moved.q_xyzw), modes.pattern(modes.FELT))
             moved, tilt = motion.take_tilt(moved, imu.specific_force, white, feels)
             bank = inference.weigh(bank, OF_ATTITUDE, tilt, expected)
-        return bank, moved, by_attitude, off, added, lead, tilt
+        return Measured(bank, moved, by_attitude, off, added, lead, tilt)
 
     def _watch_force(
         self,
@@ -260,7 +252,7 @@ class BankObserver(FlightLaw):
         """Watch the tilt that the accelerometer shows by the motion; there may be none."""
         if tilt is None:
             return state.force
-        felt = _said_of(modes.FELT, 1.0 * named) > 0.0
+        felt = decide.said_of(modes.FELT, 1.0 * named) > 0.0
         noise_of_tilt = translation.noise_of_force(state.translation) / samples.STANDARD_GRAVITY**2
         off = tilt.innovation, tilt.variance, noise_of_tilt
         return trust.watch_attitude(state.force, felt, age, *off, there, believed, dt)
@@ -334,41 +326,11 @@ class BankObserver(FlightLaw):
         rarer = 2.0 * log(1.0 - self.level)
         posterior = inference.believe(bank, *held, driven, state.failed > 0.0, rarer)
         posterior, asked = translation.ask_position(beside, bank, posterior)
-        shares, p, doubt = _probabilities(posterior)
+        shares, p, doubt = decide.probabilities(posterior)
         aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
-        named = self._named(p, doubt, aged, asked, speaks[1] & ~state.gyro.faulty, column(driven))
+        witnesses = asked, speaks[1] & ~state.gyro.faulty, column(driven)
+        named = decide.named_mode(p, doubt, aged, *witnesses, 1.0 - self.level, self.attitude_from_gyro)
         return posterior, shares, p, named
-
-    def _named(
-        self,
-        p: Array,
-        doubt: Array,
-        aged: Array,
-        asked: Mask,
-        good_gyro: Mask,
-        driven: Flag,
-    ) -> Array:
-        """Which mode to believe (..., modes); at most one: the likeliest of a name that is beyond doubt.
-
-        ``aged`` is p times the age of its onset [s].
-
-        Twice the certainty is needed without a torque, and of an attitude without a gyro: only one witness is
-        left. It is needed of an attitude of which the position is ``asked`` (..., 3), as that speaks late; of
-        one that returns; and of one that jumps, which must have stayed. Thrice is needed of a push, and of a
-        lag: these hide what began with them. A wild gyro must be so for as long as it takes to hear
-        vibration.
-        """
-        few, kind, name = 1.0 - self.level, modes.KIND, modes.NAME
-        last = ((name == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven
-        stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
-        twice = last | stays | (kind == modes.RETURN) | (kind == modes.GYRO_RETURN) | (kind == modes.WILD)
-        least = where(twice, few * few, where(modes.IS_FAULT, few, few**3))
-        # a jump of an attitude that repeats the gyro is its estimator's
-        takes = ((name != modes.ATTITUDE) & (kind != modes.RETURN)) | (not self.attitude_from_gyro)
-        sure = doubt < least * takes
-        heard = (kind != modes.WILD) | (aged > noise.LONG * p)
-        alike = (1.0 * (sure & heard)) @ modes.SAME > 0.0
-        return alike & (p == (p * alike).max(axis=-1, keepdims=True))
 
     def _said(
         self, state: State, inputs: FaultObserverInputs, flown: Motion, attitude: Seen, gyro: Seen, dt: float
@@ -376,8 +338,9 @@ class BankObserver(FlightLaw):
         """Judge the accelerometer, and say what is believed of a sample."""
         imu, judged = inputs.imu, not self.attitude_from_gyro
         unsure = column(gyro.mine.sum(axis=-1) + judged * attitude.mine.sum(axis=-1) > self.level)
-        by_attitude = self._judge(state.attitude, state.angles_read, attitude, unsure & judged)
-        by_gyro = self._judge(state.gyro, state.rates_read, gyro, unsure)
+        few = 1.0 - self.level
+        by_attitude = decide.judge(state.attitude, state.angles_read, attitude, unsure & judged, few)
+        by_gyro = decide.judge(state.gyro, state.rates_read, gyro, unsure, few)
         doubtful = (by_attitude.onset_age >= 0.0) | (by_gyro.onset_age >= 0.0)
         knows = self.feels_gravity or state.translation.flight is not None
         beside = translation.judge_accelerometer(
@@ -400,56 +363,9 @@ class BankObserver(FlightLaw):
             rotors,
         )
 
-    def _judge(self, state: Trust, read: Readings, seen: Seen, unsure: Flag) -> SensorEstimate:
-        """Say what is believed of a sensor; ``unsure``: one of several has a fault."""
-        xp = namespace(seen.off)
-        stuck, absent = readings.is_stuck(read), readings.is_absent(read)
-        certain: Mask = state.faulty | stuck | absent
-        ambiguous = unsure & (seen.mine > 1.0 - self.level) & ~certain
-        declared = certain | ambiguous
-        suspect = where(seen.mine > 0.5, samples.SUSPECT, samples.HEALTHY)
-        suspect = where(readings.was_there(read), suspect, samples.STARTING)
-        faulty = where(state.calm > 0.0, samples.RECOVERING, samples.FAULTY)
-        kind = where(absent, ABSENT, where(stuck, STUCK, OFFSET))
-        age = where(state.faulty, state.age, where(stuck | absent, read.silence, 0.0))
-        return SensorEstimate(
-            where(declared, faulty, suspect).astype(xp.uint8),
-            where(state.faulty & ~seen.there, state.size, where(declared & ~absent, seen.off, 0.0)),
-            smaller(sqrt(seen.variance), samples.MAX_BODY_RATE),
-            where(declared, age, -1.0),
-            where(certain, 1.0, seen.mine),
-            where(declared, kind, 0).astype(xp.uint8),
-            ambiguous,
-        )
-
 
 def _faulty(*sensors: Trust) -> Mask:
     return stacked([any_of(each.faulty)[..., 0] for each in sensors])
-
-
-def _probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
-    """Return the probability of hypotheses and modes, and what is left beside each mode (..., modes).
-
-    Vibration has its share of a wild gyro. It is left beside a less likely offset of that gyro, too: else the
-    offset would be named for it.
-    """
-    weight = posterior.log_weight
-    highest = larger(weight.max(axis=(-1, -2)), 0.0)
-    shares, none = exp(weight - highest[..., None, None]), exp(-highest)
-    total = none + shares.sum(axis=(-1, -2))
-    shares = shares / total[..., None, None]
-    p = shares.sum(axis=-1)
-    others = p @ (1.0 - modes.SAME)  # a sum, as 1 - p would lose it to rounding
-    wild = modes.KIND == modes.WILD
-    vibration = posterior.vibration[..., modes.AXIS] * wild
-    vibrates, same = p * vibration, modes.SAME - np.eye(modes.MODES)
-    left = column(none / total) + others + vibrates + (vibrates @ same) * (p < (p * wild) @ same)
-    return shares * (1.0 - vibration)[..., None], p * (1.0 - vibration), left
-
-
-def _said_of(sensor: int, of_modes: Array) -> Vector:
-    """Add up what is said of faults of attitude or gyro, by axis."""
-    return of_modes[..., sensor == modes.NAME].reshape(*of_modes.shape[:-1], -1, 3).sum(axis=-2)
 
 
 def _off(before: Vector, imu: ImuSample, believed: Motion, good: Mask) -> Vector:
