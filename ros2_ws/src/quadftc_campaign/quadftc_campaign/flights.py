@@ -8,8 +8,9 @@ from typing import cast
 import numpy as np
 
 from quadftc_campaign.batch.engine import BatchFlight
-from quadftc_campaign.batch.judge import Judge, schedule_of
+from quadftc_campaign.batch.judge import Judge
 from quadftc_campaign.batch.judged_loop import JudgedLoop
+from quadftc_campaign.batch.schedule import schedule_of
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.distributions import GRID, Value, plain
 from quadftc_campaign.errors import CampaignError

@@ -12,8 +12,10 @@ from batch_flights import assert_same_metrics, assert_same_outcome
 
 from quadftc_campaign.batch.engine import compile_laws, fly_all
 from quadftc_campaign.batch.jax_engine import JaxEngine, with_common_faults
-from quadftc_campaign.batch.judge import Judge, Motion, schedule_of
+from quadftc_campaign.batch.judge import Judge
+from quadftc_campaign.batch.judged import Motion
 from quadftc_campaign.batch.records import flight_record
+from quadftc_campaign.batch.schedule import schedule_of
 from quadftc_campaign.flights import batch_flight
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.judge import Tally
 from quadftc_campaign.batch.judged_loop import JudgedLoop
+from quadftc_campaign.batch.tally import Tally
 from quadftc_compile.engine import CEngine, Log, engine_named, say
 from quadftc_compile.recipe import name_of
 from quadftc_compile.wiring import BLOCK, Flown, flown_by

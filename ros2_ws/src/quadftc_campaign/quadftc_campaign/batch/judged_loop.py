@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_campaign.batch.judge import Judge, JudgeInputs, Motion, OfSensors, Place, Rotors
+from quadftc_campaign.batch.judge import Judge
+from quadftc_campaign.batch.judged import JudgeInputs, Motion, OfSensors, Place, Rotors
 from quadftc_control.guidance import GuidanceOutput
 from quadftc_flight.loop import ClosedLoop, LoopInputs, LoopOutput, LoopState
 from quadftc_model.arrays import Mask
