@@ -13,7 +13,7 @@ import pytest
 from message_objects import VectorWriter
 from node_bench import imu_message
 from quadftc_cli.commands.inject import clear, inject, request_fields
-from quadftc_cli.commands.set import parameter_value, setpoint_values
+from quadftc_cli.commands.set import parameter_value, set_, setpoint_values
 from quadftc_cli.view import POINTS, View, sparkline
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_sim.fault_injector_node import FaultInjectorNode
@@ -42,6 +42,9 @@ def test_fault_becomes_a_request_in_si():
         ("bias value=1deg,2deg,3deg", "value: one number for all axes"),
         ("bais value=1deg", "bias"),
         ("bias value=1dge", "expected rad, deg"),
+        ("bias axis=roll", "value: missing; without it, bias is no fault"),
+        ("saturation channel=gyro", "limit: missing"),
+        ("loss rotor=1 value=20%", "rotor: unknown parameter .did you mean 'rotors'"),
     ],
 )
 def test_wrong_fault_is_refused_before_it_is_sent(text, words):
@@ -64,8 +67,15 @@ def test_overlaid_fault_without_a_unit_is_asked_about(tmp_path):
         faults_from((), ["bias value=3"])
 
 
+def test_setpoint_without_values_is_none(capsys):
+    set_("attitude")
+    assert "roll=... rad, pitch=... rad, yaw=... rad" in capsys.readouterr().out
+
+
 def test_setpoint_is_read_with_units():
     assert setpoint_values("attitude", {"roll": "5deg"})["roll"] == pytest.approx(math.radians(5.0))
+    with pytest.raises(ValueError, match="yaw = 500deg: must be within -360 to 360 deg"):
+        setpoint_values("attitude", {"yaw": "500deg"})
     with pytest.raises(ValueError, match="that is 2865 deg; write 50deg"):
         setpoint_values("attitude", {"roll": "50"})
     for angle in ("95deg", "-95deg"):

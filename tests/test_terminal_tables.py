@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from rich.console import Console
 
+from quadftc_cli.commands.campaign import SHOWN
+from quadftc_cli.commands.campaign import _table as campaign_table
 from quadftc_cli.metric_table import DIAGNOSIS, axis_table, diagnosis_table, heading, text
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.scenario import parse_scenario
 from quadftc_flight.summary import summary
+from quadftc_model.samples import AXES
 from quadftc_report.metric_kinds import describe
 from quadftc_report.wording import NOTHING
 
@@ -69,3 +73,18 @@ def test_columns_without_a_number_are_left_out_and_narrow_screens_get_fewer():
 def test_axis_table_has_a_row_for_each_axis():
     table = axis_table(metrics(), ["tracking_rmse_deg", "tracking_max_deg"])
     assert (table.row_count, len(table.columns)) == (3, 3)
+
+
+def test_table_of_a_campaign_fits_the_screen_and_says_what_is_lost():
+    each = {"flights": 20, "lost": 3, "faults": {}, "metrics": {}}
+    each["metrics"] = {
+        f"{name}.{axis}": {"count": 20, "q50": 0.1, "q95": 0.2} for name in SHOWN for axis in AXES
+    }
+    side = SimpleNamespace(name="mine", summary=each, has_observer=True, alarms_per_hour=lambda: 0.5)
+    results: Any = SimpleNamespace(sides=[side])
+    wide, narrow = (campaign_table(results, Console(width=width)) for width in (200, 45))
+    cells = {str(column.header).replace("\n", " "): list(column.cells) for column in wide.columns}
+    assert cells["lost"] == ["3"]
+    assert "missed faults" not in cells
+    assert [cells[name] for name in cells if "median" in name] == [["0.1 / 0.2"]] * 2
+    assert 2 < len(narrow.columns) < len(wide.columns)

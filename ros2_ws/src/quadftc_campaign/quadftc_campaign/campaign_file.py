@@ -69,6 +69,7 @@ from quadftc_flight.scenario import (
     find_scenario,
     problems_of,
     read_document,
+    refuse_kind,
 )
 from quadftc_flight.summary import NO_OBSERVER
 
@@ -191,6 +192,7 @@ def load_campaign(
     ``assignments`` come after those of ``set``. Who flies firmware gives ``build``, which knows its keys.
     """
     document = read_document(path)
+    refuse_kind(document, "scenario")
     for key, value in {"flights": flights, "seed": seed}.items():
         if value is not None:
             document = document.replaced({(key,): value}, f"{key} {value}")

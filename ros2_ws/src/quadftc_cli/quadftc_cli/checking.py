@@ -15,6 +15,7 @@ from rich.table import Table
 
 from quadftc_bags.bag import BagError
 from quadftc_cli.screen import console, plain_table, say, warn
+from quadftc_flight.loss import loss_story
 from quadftc_flight.run_directory import find_run, read_run
 from quadftc_flight.scenario import find_scenario, load_scenario, with_components
 from quadftc_model.vehicle import load_vehicle, vehicle_names
@@ -58,14 +59,14 @@ def check_target(
             raise BagError(f"{path}: {wrong}")
         run = read_run(find_run(path))
         warn(run.warnings)
-        report = check_run(run)
+        report, loss = check_run(run), loss_story(run.flight)
     else:
         scenario = with_components(load_scenario(find_scenario(target), overrides, gains), **parts)
-        report = check_scenario(scenario, scenario.scheme(scheme or None))
+        report, loss = check_scenario(scenario, scenario.scheme(scheme or None)), ""
     if as_json:
         say(json.dumps(report.to_dict(), indent=2, allow_nan=False))
     else:
-        _print(report)
+        _print(report, loss)
     return report.passed
 
 
@@ -128,9 +129,13 @@ def _marks(at_all: Mask, strongly: Mask) -> NDArray[np.str_]:
     return np.where(at_all, np.where(strongly, LASTING, CHANGING), NEVER)
 
 
-def _print(report: CheckReport) -> None:
+def _print(report: CheckReport, loss: str) -> None:
+    """Print the conditions of a scenario, or of a run; ``loss`` says how that was lost, if it was."""
     screen = console()
     say(f"{report.scenario}, scheme {report.scheme}" + (f", {report.bag}" if report.bag else ""))
+    if loss:
+        screen.print("[red]LOST[/] ", end="")
+        say(loss.removeprefix("lost "))
     for section in report.sections:
         screen.print(f"\n[bold]{section.title}[/]")
         for item in section.conditions:
@@ -138,5 +143,9 @@ def _print(report: CheckReport) -> None:
             screen.print(f"  [{colour}]{item.verdict.value:7}[/] ", end="")
             say(f"{item.name}: {item.text}")
     screen.print(f"\n{'[green]PASS[/]' if report.passed else '[red]FAIL[/]'} ", end="")
+    failed = [
+        item for section in report.sections for item in section.conditions if item.verdict is Verdict.FAIL
+    ]
     holds = "every condition that the scheme needs holds"
+    holds += f"; of the others {len(failed)} {'does' if len(failed) == 1 else 'do'} not" * bool(failed)
     say(holds if report.passed else f"fails: {'; '.join(report.failed)}")

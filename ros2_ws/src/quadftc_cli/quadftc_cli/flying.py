@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ from quadftc_cli.metric_table import diagnosis_table, fitting, heading, text
 from quadftc_cli.screen import Bars, console, plain_table
 from quadftc_flight.checks import refuse_wrong_checks
 from quadftc_flight.loop_run import run_loop
-from quadftc_flight.loss import loss_story, lost_at
+from quadftc_flight.loss import command_up_to_loss, loss_story, lost_at
 from quadftc_flight.run_directory import read_run
 from quadftc_flight.run_files import RunError, prepare, run_name, write_summary
 from quadftc_flight.scenario import (
@@ -31,6 +30,7 @@ from quadftc_flight.scenario import (
     load_scenario,
     relabelled,
     with_components,
+    with_duration,
 )
 from quadftc_flight.summary import Summary, relate_to_undiagnosed
 from quadftc_model.samples import AXES
@@ -49,8 +49,8 @@ COLUMNS = (
     "torque_total_variation",
 )
 
-# names of scenarios, scheme, overrides, gains, components by role, label
-What = tuple[Sequence[str], str, Sequence[str], str, Mapping[str, str], str]
+# names of scenarios, scheme, overrides, gains, components by role, label, where to end [s]
+What = tuple[Sequence[str], str, Sequence[str], str, Mapping[str, str], str, float]
 Job = tuple[Scenario, Scheme]
 LOOP = "loop"  # in place of a graph: in this process, without ROS
 # graph, mode, namespace, whether to replace, what `Scheduling` takes, and the engine
@@ -59,7 +59,7 @@ How = tuple[str, str, str, bool, tuple[str, int, tuple[int, ...]], str]
 
 def fly_named(what: What, out: Path, how: How, jobs: int | None, junit: Path | None) -> int:
     """Fly the schemes of scenarios, so many side by side, and return the exit code."""
-    names, scheme, overrides, gains, parts, label = what
+    names, scheme, overrides, gains, parts, label, until = what
     graph, mode, namespace, force, scheduling, engine = how
     graph = graph or ("composed" if importlib.util.find_spec("rclpy") else LOOP)
     if graph == LOOP and (mode == "realtime" or namespace or Scheduling(*scheduling) != ORDINARY):
@@ -68,6 +68,7 @@ def fly_named(what: What, out: Path, how: How, jobs: int | None, junit: Path | N
     for name in names:
         plain = load_scenario(find_scenario(name), overrides, gains)
         loaded = with_components(plain, **parts)
+        loaded = with_duration(loaded, until) if until < loaded.duration else loaded
         chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
         for each in chosen:
             given = f"{each}-{label}" if label and len(chosen) > 1 else label
@@ -154,11 +155,13 @@ def show_runs(summaries: list[Summary], out: Path, screen: Console, junit: Path 
 
 def _print_loss(item: Summary, out: Path, screen: Console) -> None:
     """Say when a flight was lost, what led there, and how to fly only up to there."""
-    flight = read_run(out / item["bag"]).flight
+    bag = out / item["bag"]
+    flight = read_run(bag).flight
     screen.print(f"[red]LOST[/] {item['name']}-{item['scheme']}: {loss_story(flight)}", markup=True)
-    if (end := lost_at(flight)) is not None:
-        again = f"quadftc run {item['name']} --scheme {item['scheme']} --set duration={math.ceil(end) + 1}s"
-        screen.print(f"  up to there alone: {again}; without diagnosis: add --observer none")
+    if lost_at(flight) is not None:
+        bare = "; add --observer none for that without diagnosis" * (item["observer"] != "none")
+        screen.print(f"  up to there alone{bare}:")
+        screen.print(f"  {command_up_to_loss(flight, bag, item['scheme'])}", soft_wrap=True)
 
 
 def _print_tables(summaries: Sequence[Summary], screen: Console) -> None:

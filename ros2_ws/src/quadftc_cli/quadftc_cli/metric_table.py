@@ -37,7 +37,12 @@ DIAGNOSIS = (
 def heading(path: str) -> str:
     """Return the name of a metric on the page, with its unit, in short lines."""
     where = "1st fault window: " if path.startswith("fault_windows.0.") else ""
-    return textwrap.fill(where + describe(path)[1].heading, HEADING, break_long_words=False)
+    return in_short_lines(where + describe(path)[1].heading)
+
+
+def in_short_lines(words: str) -> str:
+    """Break the heading of a column into lines."""
+    return textwrap.fill(words, HEADING, break_long_words=False)
 
 
 def text(metrics: Metrics, path: str, axis: str = "") -> str:

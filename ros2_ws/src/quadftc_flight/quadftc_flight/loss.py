@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import shlex
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +39,22 @@ def loss_story(flight: Flight) -> str:
         return ""
     told = "; ".join([*_verdicts(flight, end), *_authority(flight, end)])
     return f"lost at {end:.2f} s: {told or 'no wrong verdict, and no lack of torque, before it'}"
+
+
+def command_up_to_loss(flight: Flight, run: Path, scheme: str) -> str:
+    """Return the command that flies only so much of a lost ``run`` that the loss is seen, as it was flown."""
+    end = lost_at(flight)
+    assert end is not None
+    words = (
+        "quadftc",
+        "run",
+        str(run / "scenario.yaml"),
+        "--scheme",
+        scheme,
+        "--until",
+        f"{math.ceil(end) + 1}s",
+    )
+    return shlex.join([*words, "--out", str(run.parent / "up_to_loss")])
 
 
 def _verdicts(flight: Flight, end: float) -> Iterator[str]:

@@ -1,11 +1,12 @@
 """The story of a lost flight: the moment, the healthy part that was named, the fault that was not."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 
 from quadftc_flight.flight import unknown_flight
-from quadftc_flight.loss import loss_story, lost_at
+from quadftc_flight.loss import command_up_to_loss, loss_story, lost_at
 from quadftc_model.samples import FAULTY, HEALTHY
 
 
@@ -37,3 +38,9 @@ def test_story_names_moment_wrong_verdict_and_what_was_not_named():
 def test_a_flight_that_is_not_lost_has_no_story():
     assert lost_at(flown(lost_from=np.inf)) is None
     assert loss_story(flown(lost_from=np.inf)) == ""
+
+
+def test_command_flies_only_up_to_the_loss_what_was_flown():
+    command = command_up_to_loss(flown(lost_from=8.2), Path("results/my run"), "mine")
+    flown_up_to = "--scheme mine --until 10s --out results/up_to_loss"
+    assert command == f"quadftc run 'results/my run/scenario.yaml' {flown_up_to}"

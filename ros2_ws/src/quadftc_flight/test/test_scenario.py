@@ -286,6 +286,20 @@ def test_a_text_is_read_up_to_the_value_that_is_too_much(text):
     assert "too large or too deep for a scenario" in line
 
 
+@pytest.mark.parametrize(
+    ("file", "text", "command"),
+    [
+        ("a.yaml", "name: a\nscenario: mems_faults\nflights: 3\n", "campaign"),
+        ("a.toml", "mass = 1.4\n", "check"),
+    ],
+)
+def test_a_file_of_another_kind_is_told_by_the_command_that_takes_it(file, text, command, tmp_path):
+    path = tmp_path / file
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=rf"{file}: .*: quadftc {command} {path}$"):
+        load_scenario(path)
+
+
 def test_a_large_file_is_not_read(tmp_path):
     path = tmp_path / "large.yaml"
     path.write_text("#" + "x" * 50_000_000)

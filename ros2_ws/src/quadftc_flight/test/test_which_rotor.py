@@ -83,7 +83,7 @@ def test_the_schedule_of_rotors_is_that_of_the_scenario():
     ("changes", "words"),
     [
         (["faults.0.rotors=[5]"], "faults[0].rotors: 5 is no rotor; expected numbers from 1 to 4"),
-        (["faults.0.value=1.3"], "1.3 1: must be within [0, 1]"),
+        (["faults.0.value=1.3"], "1.3: must be within [0, 1]"),
         (["plant.kind=test_stand", "trajectories=[]"], "faults[0].channel: 'rotor': only in free flight"),
         (["faults.0.kind=bias"], "no rotor fault 'bias'"),
     ],

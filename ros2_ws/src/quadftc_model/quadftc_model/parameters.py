@@ -176,10 +176,9 @@ def _check_bounds(spec: Parameter, value: Any) -> None:
             raise ValueError(f"{spec.name} = {value!r}: expected one of {', '.join(spec.choices)}")
         return
     numbers: Axes = value if spec.is_vector else (value,)  # a bool is within infinite bounds
+    unit = "" if spec.unit == "1" else f" {spec.unit}"
     for number in numbers:
         if not spec.low <= number <= spec.high:  # NaN fails this, too
-            raise ValueError(
-                f"{spec.name} = {number!r} {spec.unit}: must be within [{spec.low:g}, {spec.high:g}]"
-            )
+            raise ValueError(f"{spec.name} = {number!r}{unit}: must be within [{spec.low:g}, {spec.high:g}]")
         if math.isinf(number) and number != spec.default:
-            raise ValueError(f"{spec.name} = {number!r} {spec.unit}: must be finite")
+            raise ValueError(f"{spec.name} = {number!r}{unit}: must be finite")

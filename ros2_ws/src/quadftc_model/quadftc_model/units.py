@@ -39,7 +39,7 @@ def quantity(value: object, unit: str) -> float:
     else:
         match = _QUANTITY.match(value) if isinstance(value, str) else None
         if match is None:
-            raise ValueError(f"{value!r}: expected a number in {unit}")
+            raise ValueError(f"{value!r}: expected a number{'' if unit == '1' else f' in {unit}'}")
         number, spelling = float(match[1]), match[2].replace(" ", "")
     if math.isnan(number):
         raise ValueError(f"{value!r}: expected a number in {unit}, not NaN")

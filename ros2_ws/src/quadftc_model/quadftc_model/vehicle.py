@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,7 @@ from quadftc_model.numbers import LABEL, prepared
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.small_files import read_small, read_toml
 from quadftc_model.vehicle_checks import impossible
-from quadftc_model.vehicle_table import KEYS, Problem, line_of, read_section, shortened
+from quadftc_model.vehicle_table import ALONE, KEYS, Problem, line_of, read_section, shortened, wrong_numbers
 from quadftc_model.wrench_set import WrenchSet, extremes, limits, wrench_set
 
 if TYPE_CHECKING:
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 
 _DIRECTORY = Path(__file__).parent / "vehicles"
 _GROUP = "quadftc.vehicles"  # entry points: name -> path of a TOML file
-_SMALLEST = 1e-12  # in SI; no number of a vehicle that is positive is smaller
-_POSITIVE = ("thrust_gain", "yaw_gain", "time_constant", "thrust_coefficient")
 
 
 def _zeros() -> NDArray[np.float64]:
@@ -102,31 +99,12 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         """Check the numbers; a ValueError has a line for each that is wrong."""
-        problems = [*self._wrong_signs()] or impossible(self)
+        values = {"": vars(self), "rotors": vars(self.rotors), "aerodynamics": vars(self.aerodynamics)}
+        problems = [*wrong_numbers(values)]
+        if all(problem.key == ALONE for problem in problems):
+            problems = [*impossible(self), *problems]
         if problems:
             raise ValueError("\n".join(problem.line for problem in problems))
-
-    def _wrong_signs(self) -> Iterator[Problem]:
-        """Yield what has a wrong count or sign."""
-        rotors = self.rotors
-        count = len(rotors.positions)
-        for name in ("yaw_sign", "spin_sign"):
-            if (given := len(getattr(rotors, name))) != count:
-                yield Problem(
-                    f"rotors.{name}",
-                    f"expected {count} numbers, one for each of rotors.positions, not {given}",
-                )
-        positive = f"positive, at least {_SMALLEST:g}"
-        yield from _not_at_least(self, "", ("mass", "inertia"), _SMALLEST, positive)
-        yield from _not_at_least(self, "", ("rotational_drag",), 0.0, "not negative")
-        yield from _not_at_least(rotors, "rotors.", _POSITIVE, _SMALLEST, positive)
-        yield from _not_at_least(rotors, "rotors.", ("rotor_inertia",), 0.0, "not negative")
-        air = ("rotor_drag", "drag_area")
-        yield from _not_at_least(self.aerodynamics, "aerodynamics.", air, 0.0, "not negative")
-        low, high, trim = rotors.command_min, rotors.command_max, rotors.command_trim
-        if not low < trim < high:
-            limits = f"({low:g}, {high:g}), the limits of the command"
-            yield Problem("rotors.command_trim", f"= {trim}: must be in {limits}")
 
     @prepared
     def mixer(self) -> NDArray[np.float64]:
@@ -235,16 +213,17 @@ def load_vehicle(name: str) -> Vehicle:
     except OSError as error:
         raise ValueError(f"vehicle {path}: {error.strerror}") from None
     except ValueError as error:  # no TOML, no UTF-8, wrong values
-        raise ValueError("\n".join(_located(path, line) for line in str(error).splitlines())) from None
+        found = sorted((_line_of(path, problem), problem) for problem in str(error).splitlines())
+        told = (f"vehicle {path}{f':{line}' if line else ''}: {problem}" for line, problem in found)
+        raise ValueError("\n".join(told)) from None
 
 
-def _located(path: Path, problem: str) -> str:
-    """Put file and line of its key before what is wrong."""
+def _line_of(path: Path, problem: str) -> int:
+    """Return the line of the key of a problem; 0: unknown."""
     try:
-        line = line_of(read_small(path), problem.partition(" ")[0].rstrip(":"))
+        return line_of(read_small(path), problem.partition(" ")[0].rstrip(":")) or 0
     except ValueError:  # too large, or no UTF-8
-        line = None
-    return f"vehicle {path}{f':{line}' if line else ''}: {problem}"
+        return 0
 
 
 def _path_of(name: str) -> Path:
@@ -275,16 +254,7 @@ def _load(path: Path, changed_ns: int) -> Vehicle:
         read[section], wrong = read_section(part, section)  # pyright: ignore[reportUnknownArgumentType]
         problems += wrong
     if problems:
+        problems += wrong_numbers(read)
         raise ValueError("\n".join(problem.line for problem in problems))
     rotors, air = Rotors(**read["rotors"]), Aerodynamics(**read["aerodynamics"])
     return Vehicle(**read[""], rotors=rotors, aerodynamics=air)
-
-
-def _not_at_least(
-    owner: object, prefix: str, names: tuple[str, ...], least: float, expected: str
-) -> Iterator[Problem]:
-    for name in names:
-        value = getattr(owner, name)
-        if not np.all(value >= least):
-            shown = value if isinstance(value, float) else value.tolist()
-            yield Problem(f"{prefix}{name}", f"= {shown}: must be {expected}")

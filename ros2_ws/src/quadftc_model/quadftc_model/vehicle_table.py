@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +12,17 @@ from numpy.typing import NDArray
 from quadftc_model.hints import nearest
 
 LARGEST = 1e9  # in SI; no number of a vehicle is larger
+SMALLEST = 1e-12  # in SI; no number of a vehicle that is positive is smaller
+LAG = (5e-4, 0.5)  # s; of the rotors: 5 mm of a toy to 1 m of a carrier of persons
+ALONE = "rotors.time_constant"  # what nothing else follows from
+POSITIVE = (
+    *(("", name) for name in ("mass", "inertia")),
+    *(("rotors", name) for name in ("thrust_gain", "yaw_gain", "time_constant", "thrust_coefficient")),
+)
+NOT_NEGATIVE = (
+    *(("", "rotational_drag"), ("rotors", "rotor_inertia")),
+    *(("aerodynamics", "rotor_drag"), ("aerodynamics", "drag_area")),
+)
 
 
 class Key(NamedTuple):
@@ -88,6 +99,34 @@ def read_section(table: Mapping[str, object], section: str) -> tuple[dict[str, A
     unknown = [name for name in table if name not in keys and not (section == "" and name in KEYS)]
     problems += [Problem(f"{prefix}{name}", f"unknown key{_hint(name, section)}") for name in unknown]
     return values, problems
+
+
+def wrong_numbers(values: Mapping[str, Mapping[str, Any]]) -> Iterator[Problem]:
+    """Yield which numbers have a wrong count, sign or size by themselves; of those that are not there, none.
+
+    ``values`` holds the tables by name, the first under the empty one.
+    """
+    rotors = values.get("rotors", {})
+    places = rotors.get("positions")
+    for name in ("yaw_sign", "spin_sign"):
+        signs = rotors.get(name)
+        if signs is not None and places is not None and len(signs) != len(places):
+            told = f"expected {len(places)} numbers, one for each of rotors.positions, not {len(signs)}"
+            yield Problem(f"rotors.{name}", told)
+    for section, name in (*POSITIVE, *NOT_NEGATIVE):
+        value, is_positive = values.get(section, {}).get(name), (section, name) in POSITIVE
+        if value is None or np.all(value >= (SMALLEST if is_positive else 0.0)):
+            continue
+        shown = value if isinstance(value, float) else value.tolist()
+        expected = f"positive, at least {SMALLEST:g}" if is_positive else "not negative"
+        yield Problem(f"{section}.{name}".lstrip("."), f"= {shown}: must be {expected}")
+    lag = rotors.get("time_constant")
+    if lag is not None and lag >= SMALLEST and not LAG[0] <= lag <= LAG[1]:
+        yield Problem(ALONE, f"= {lag:g}: expected within [{LAG[0]:g}, {LAG[1]:g}] s")
+    low, high, trim = (rotors.get(f"command_{name}") for name in ("min", "max", "trim"))
+    if None not in (low, high, trim) and not low < trim < high:
+        told = f"= {trim}: must be in ({low:g}, {high:g}), the limits of the command"
+        yield Problem("rotors.command_trim", told)
 
 
 def _hint(name: str, section: str) -> str:

@@ -74,7 +74,7 @@ def test_unit_in_braces_is_that_of_the_context():
         ({"gains": "inf"}, r"gains = inf 1/s: must be finite"),
         ({"count": 2.5}, r"count: 2.5: expected a whole number"),
         ({"count": "inf"}, r"count: 'inf': expected a whole number"),
-        ({"count": 11}, r"count = 11 1: must be within \[1, 10\]"),
+        ({"count": 11}, r"count = 11: must be within \[1, 10\]"),
         ({"flag": 1}, r"flag: 1: expected true or false"),
         ({"shape": "oval"}, r"shape = 'oval': expected one of round, square"),
         ({"shape": 3}, r"shape: 3: expected a text"),

@@ -205,6 +205,21 @@ def test_all_that_is_wrong_is_told_at_once_with_line_unit_and_hint(tmp_path):
     ]
 
 
+def test_a_misspelt_key_hides_no_wrong_count_and_no_wrong_number(tmp_path):
+    path = changed(
+        tmp_path,
+        r"(?s)^mass = 1.4(.*)^spin_sign = [^\n]*(.*)^time_constant = [^ ]*(.*)^rotor_drag",
+        r'mass = "1400 g"\1spin_sign = [1, 1]\2time_constant = 15.0\3rotor_darg',
+    )
+    with pytest.raises(ValueError, match="mass") as refused:
+        load_vehicle(path)
+    found = [line.split(": ", 1) for line in str(refused.value).splitlines()]
+    keys = ["mass", "rotors.spin_sign", "rotors.time_constant", "aerodynamics.rotor_darg"]
+    assert [re.match(r"[\w.]+", text)[0] for _, text in found] == keys
+    lines = [int(where.rpartition(":")[2]) for where, _ in found]
+    assert lines == sorted(lines)
+
+
 def test_numbers_that_are_wrong_together_are_told_together(tmp_path):
     path = changed(
         tmp_path, r"(?s)^mass = 1.4(.*)^time_constant = [^ ]*", r"mass = 1400\1time_constant = 15.0"

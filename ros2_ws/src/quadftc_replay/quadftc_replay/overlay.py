@@ -19,7 +19,7 @@ from quadftc_model.hints import nearest
 from quadftc_model.spec import parse_spec
 from quadftc_replay.imu_recording import Recording
 from quadftc_sim.assembly import injection_from
-from quadftc_sim.injection import RESERVED, ask_for_units
+from quadftc_sim.injection import RESERVED, ask_for_size, ask_for_units
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,6 +58,7 @@ def _parse_fault(spec: str) -> OverlaidFault:
     injection, (kind, values) = injection_from(spec), parse_spec(spec)
     try:
         ask_for_units(kind, values)
+        ask_for_size(kind, values)
     except ValueError as error:
         raise ValueError(f"fault '{spec}': {error}") from None
     return OverlaidFault(injection, tuple(name for name in values if name not in RESERVED), spec)

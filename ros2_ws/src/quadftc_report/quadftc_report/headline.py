@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from quadftc_flight.diagnosis_metrics.columns import Metrics
-from quadftc_flight.loss import loss_story
+from quadftc_flight.loss import command_up_to_loss, loss_story
+from quadftc_flight.run_directory import SCENARIO
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report.comparison import Comparison, axis_metric, controls, has_observer, metric
@@ -122,7 +123,10 @@ def _degrees(angle: float) -> str:
 def _held(run: Recorded) -> str:
     """How well the vehicle flew; of a replay, how well its attitude is known."""
     if metric(run, "lost"):
-        return f"LOSES the vehicle ({loss_story(run.flight)})"
+        story = loss_story(run.flight)
+        if not isinstance(run, RecordedReplay) and (run.path / SCENARIO).is_file():
+            story += f"; up to there alone: {command_up_to_loss(run.flight, run.path, run.label)}"
+        return f"LOSES the vehicle ({story})"
     if isinstance(run, RecordedReplay):
         size = max(each or 0.0 for each in axis_metric(run, "fault_max_deg").values())
         return f"is off by {_degrees(_error(run))} at most, under faults of up to {_degrees(size)}"

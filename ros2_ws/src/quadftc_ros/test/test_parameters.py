@@ -96,7 +96,7 @@ def test_values_given_at_the_start_are_used(bench):
         ("law.gain", math.nan, "law.gain: nan: expected a number in 1/s, not NaN"),
         ("law.open_ended", math.inf, "law.open_ended = inf s: must be finite"),
         ("law.count", 3.0, "law.count = 3.0: expected a whole number"),
-        ("law.count", 0, r"law.count = 0 1: must be within \[1, 7\]"),
+        ("law.count", 0, r"law.count = 0: must be within \[1, 7\]"),
         ("law.on", "yes", "law.on = 'yes': expected true or false"),
         ("law.shape", "flat", "law.shape = 'flat': expected one of round, square"),
         ("law.axes", [1, 2, 3], r"law.axes = \[1, 2, 3\]: expected three numbers with decimal points"),

@@ -88,13 +88,13 @@ def make_injection(kind: str, values: Mapping[str, object], now: float = 0.0, ro
         raise ValueError(f"channel = {channel!r}: expected one of {', '.join(CHANNEL_UNITS)}")
     if channel not in fault.channels:
         raise ValueError(f"channel = {channel!r}: {kind} can be on {', '.join(fault.channels)}")
-    mask = _rotor_mask(kind, values, rotors) if channel == ROTOR else _mask(kind, fault, values)
-    window = _window(values, now)
     own = {name: value for name, value in values.items() if name not in RESERVED}
     known = [*(spec.name for spec in parameters_of(fault)), *RESERVED]
     for name in own:
         if name not in known:
             raise ValueError(f"{name}: unknown parameter{nearest(name, known)}; known: {', '.join(known)}")
+    mask = _rotor_mask(kind, values, rotors) if channel == ROTOR else _mask(kind, fault, values)
+    window = _window(values, now)
     return Injection(kind, channel, mask, *window, build(fault, own, units=CHANNEL_UNITS[channel]))
 
 
@@ -168,6 +168,17 @@ def _time(values: Mapping[str, object], name: str, default: float) -> float:
 def fault_generators(seed: int, number: int) -> tuple[np.random.Generator, np.random.Generator]:
     """Return where an injection's normal and uniform numbers come from, which no other injection shifts."""
     return np.random.default_rng([seed, number, 0]), np.random.default_rng([seed, number, 1])
+
+
+def ask_for_size(kind: str, values: Mapping[str, object]) -> None:
+    """Refuse a fault that a person typed, by a ValueError, if it has no size: it would do nothing."""
+    sizes = [
+        spec
+        for spec in parameters_of(registry_of(kind, values).get(kind))
+        if np.all(np.isin(spec.default, (0.0, math.inf)))
+    ]
+    if sizes and not any(spec.name in values for spec in sizes):
+        raise ValueError(f"{sizes[0].name}: missing; without it, {kind} is no fault")
 
 
 def ask_for_units(kind: str, values: Mapping[str, object]) -> None:

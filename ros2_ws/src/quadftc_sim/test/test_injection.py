@@ -289,7 +289,7 @@ def test_channel_that_is_absent_stays_absent():
         ),
         ("bias", {"value": "inf"}, r"value = inf rad: must be finite"),
         ("noise", {"sigma": -1}, r"sigma = -1.0 rad: must be within \[0, inf\]"),
-        ("dropout", {"probability": 1.5}, r"probability = 1.5 1: must be within \[0, 1\]"),
+        ("dropout", {"probability": 1.5}, r"probability = 1.5: must be within \[0, 1\]"),
         ("delay", {"delay": "2 s"}, r"delay = 2.0 s: must be within \[0, 1\]"),
     ],
 )

@@ -132,7 +132,7 @@ def test_the_injector_tells_the_condition_beside_the_faults_of_sensors():
         ({}, 4, "rotors: missing; expected numbers from 1 to 4"),
         ({"rotors": [1], "axes": ["x"]}, 4, "axes: loss on a rotor has none"),
         ({"rotors": [1]}, 0, "only in free flight"),
-        ({"rotors": [1], "value": 1.5}, 4, "value = 1.5 1: must be within"),
+        ({"rotors": [1], "value": 1.5}, 4, "value = 1.5: must be within"),
         ({"rotors": [1], "channel": "gyro"}, 4, "no fault 'loss'"),
     ],
 )

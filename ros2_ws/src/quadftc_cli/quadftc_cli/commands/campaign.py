@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.console import Console
 from rich.table import Table
 from typer import Argument, Option
 
@@ -21,12 +22,20 @@ from quadftc_cli.screen import Bars, console, plain_table, warn
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
     from quadftc_flight.diagnosis_metrics.columns import Metrics
-    from quadftc_report.campaign_results import Results
+    from quadftc_report.campaign_results import Results, Side
 
-SHOWN = {
-    "tracking_rmse_deg": "tracking RMSE [deg], worst axis",
-    "fault_estimate_rmse_deg": "RMSE of the estimate [deg], worst axis",
-}
+SHOWN = "tracking_rmse_deg", "fault_estimate_rmse_deg"  # median and 95 % of their worst axes
+COLUMNS = (
+    *(
+        "flights",
+        "lost",
+        "missed faults",
+        "detection delay [s]: median\u00a0/\u00a095\u00a0%",
+        "false alarms an hour",
+    ),
+    "tracking RMSE of the worst axis [deg]: median\u00a0/\u00a095\u00a0%",
+    "RMSE of the fault estimate, worst axis [deg]: median\u00a0/\u00a095\u00a0%",
+)
 
 
 def campaign(
@@ -129,29 +138,47 @@ def _fly_all(
         cost = f"{flown_steps}: {extent.samples / seconds:.3g} a second"
         screen.print(cost if loaded.source.kind == "loop" else f"flown in {seconds:.1f} s")
     results = results_of(loaded, frame, summary)
-    screen.print(_table(results))
+    screen.print(_table(results, screen))
     screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
     screen.print(f"numbers: {directory / 'summary.json'}; report: {report}")
     checks = {f"{loaded.name}-{side.name}": results.checks.get(side.name, ()) for side in results.sides}
     return judge(checks, screen, junit, "campaign")
 
 
-def _table(results: Results) -> Table:
-    """Median and 95 % quantile of the worst axis, and what became of the faults; numbers as on the page."""
-    from quadftc_report.wording import NOTHING, short
+def _table(results: Results, screen: Console) -> Table:
+    """Table of variants: as many columns as the screen has room for, the most telling first."""
+    from quadftc_cli.metric_table import fitting, in_short_lines
+    from quadftc_report.wording import NOTHING
 
-    shown = (f"{words}: median / 95 %" for words in SHOWN.values())
-    of_faults = ("missed faults", "detection delay [s]: median / 95 %", "false alarms an hour")
-    table = plain_table(("variant",), ("flights", *shown, *of_faults))
-    for side in results.sides:
-        each = side.summary
-        faults = each["faults"].get("all", {})
-        delay = faults.get("metrics", {}).get("fault.detection_delay_s", {})
-        worst = [_pair(_worst(each["metrics"], metric)) for metric in SHOWN]
-        missed = f"{faults['missed']} of {faults['judged']}" if faults else NOTHING
-        alarms = short(side.alarms_per_hour()) if side.has_observer else NOTHING
-        table.add_row(side.name, str(each["flights"]), *worst, missed, _pair(delay), alarms)
-    return table
+    rows = {side.name: _cells(side) for side in results.sides}
+    headings = [name for name in COLUMNS if any(cells[name] is not None for cells in rows.values())]
+
+    def table(count: int) -> Table:
+        made = plain_table(("variant",), map(in_short_lines, headings[:count]))
+        for name, cells in rows.items():
+            made.add_row(name, *(cells[each] or NOTHING for each in headings[:count]))
+        return made
+
+    return fitting((table(count) for count in range(len(headings), 0, -1)), screen)
+
+
+def _cells(side: Side) -> dict[str, str | None]:
+    """Write the numbers of a variant as the page does, by `COLUMNS`; None where there is none."""
+    from quadftc_report.wording import short
+
+    each = side.summary
+    faults, lost = each["faults"].get("all", {}), each.get("lost")
+    tracking, estimate = (_pair(_worst(each["metrics"], name)) for name in SHOWN)
+    found = (
+        str(each["flights"]),
+        None if lost is None else str(lost),
+        f"{faults['missed']} of {faults['judged']}" if faults else None,
+        _pair(faults.get("metrics", {}).get("fault.detection_delay_s", {})),
+        short(side.alarms_per_hour()) if side.has_observer else None,
+        tracking,
+        estimate,
+    )
+    return dict(zip(COLUMNS, found, strict=True))
 
 
 def _worst(metrics: Metrics, name: str) -> Metrics:
@@ -161,7 +188,7 @@ def _worst(metrics: Metrics, name: str) -> Metrics:
     return max(axes, key=lambda each: each.get("q50", -math.inf))
 
 
-def _pair(values: Metrics) -> str:
-    from quadftc_report.wording import NOTHING, short
+def _pair(values: Metrics) -> str | None:
+    from quadftc_report.wording import short
 
-    return f"{short(values['q50'])} / {short(values['q95'])}" if values.get("count") else NOTHING
+    return f"{short(values['q50'])} / {short(values['q95'])}" if values.get("count") else None

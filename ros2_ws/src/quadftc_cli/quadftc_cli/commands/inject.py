@@ -12,7 +12,7 @@ from quadftc_cli.screen import say
 from quadftc_flight.graph.plan import GraphError
 from quadftc_model.parameters import parameters_of
 from quadftc_model.spec import parse_spec
-from quadftc_sim.injection import CHANNEL_UNITS, RESERVED, ask_for_units, make_injection
+from quadftc_sim.injection import CHANNEL_UNITS, RESERVED, ask_for_size, ask_for_units, make_injection
 
 MOST_ROTORS = 64  # as the parameter `rotors` of the fault injector allows
 NamespaceOption = Annotated[str, Option(help="Namespace of the vehicle; default: the only one there is.")]
@@ -61,6 +61,7 @@ def request_fields(text: str) -> dict[str, Any]:
     """Return the fields of a request for a fault; a ValueError says what is wrong with its specification."""
     kind, values = parse_spec(text)
     ask_for_units(kind, values)
+    ask_for_size(kind, values)
     injection = make_injection(kind, values, rotors=MOST_ROTORS)  # the node knows how many there are
     law, names = injection.law, [name for name in values if name not in RESERVED]
     units = CHANNEL_UNITS[injection.channel]

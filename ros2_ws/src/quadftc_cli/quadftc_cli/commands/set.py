@@ -49,7 +49,10 @@ def set_(
     fault_observer lifecycle=deactivate    have a node rest
     """  # noqa: D301 (that is how Click keeps lines)
     pairs = read_pairs(values)
-    if target in SETPOINTS:
+    if target in SETPOINTS and not pairs:
+        say(f"{target}: {', '.join(f'{name}=... {unit}' for name, unit in SETPOINTS[target][1].items())}")
+        say("or with a unit, such as 5deg; an angle that is not given is 0")
+    elif target in SETPOINTS:
         _send_setpoint(target, pairs, namespace)
     else:
         _set_parameters(target, pairs, namespace)
@@ -80,8 +83,9 @@ def setpoint_values(target: str, pairs: dict[str, str]) -> dict[str, float]:
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         if units[name] == "rad" and abs(numbers[name]) > 2.0 * np.pi:
-            degrees = np.degrees(numbers[name])
-            raise ValueError(f"{name} = {text}: that is {degrees:.0f} deg; write {text.strip()}deg")
+            is_bare = text.strip()[-1:] in "0123456789."  # of degrees, somebody thought
+            meant = f"that is {np.degrees(numbers[name]):.0f} deg; write {text.strip()}deg"
+            raise ValueError(f"{name} = {text}: {meant if is_bare else 'must be within -360 to 360 deg'}")
         if target == "attitude" and name in TILTS and abs(numbers[name]) > MAX_TILT:
             most = np.degrees(MAX_TILT)
             raise ValueError(f"{name} = {text}: must be within {-most:.0f} to {most:.0f} deg")

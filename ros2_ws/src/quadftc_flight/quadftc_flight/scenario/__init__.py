@@ -23,6 +23,7 @@ from quadftc_flight.scenario.document import (
     parse_document,
     parse_value,
     read_document,
+    refuse_kind,
 )
 from quadftc_flight.scenario.files import find_gains, find_scenario, grade_of, scenario_names, with_gains_of
 from quadftc_flight.scenario.model import (
@@ -51,7 +52,9 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), g
 
 def changed_document(path: Path, overrides: Sequence[str], gains: str = "") -> Document:
     """Read a scenario file, with overrides and gains as in `load_scenario`; nothing is built yet."""
-    document = read_document(path).overridden(overrides)
+    document = read_document(path)
+    refuse_kind(document, "campaign")
+    document = document.overridden(overrides)
     if gains:  # for the vehicle that overrides may have set; and what they say of gains counts
         document = with_gains_of(document, find_gains(gains)).overridden(overrides)
     return document

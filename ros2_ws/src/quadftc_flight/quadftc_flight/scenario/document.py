@@ -27,6 +27,10 @@ Change = tuple[Sequence[str | int], object, str, str]  # path, new value, what g
 ROLES = ("observer", "disturbance_observer", "controller")  # keys of a scheme that may hold a name only
 OVERRIDE = "override"  # begins the origin of what an assignment gives
 MAX_SHOWN = 10  # problems in one report
+KINDS = {  # of files: the command that flies them, and keys that only they have
+    "scenario": ("run", ("duration", "vehicle")),
+    "campaign": ("campaign", ("scenario", "flights")),
+}
 _MAX_VALUES = 20_000  # values in one document; aliases of aliases grow without bound
 _MAX_DEPTH = 20
 TOO_LARGE = "too large or too deep for a scenario"
@@ -157,11 +161,20 @@ def _enter(place: Any, key: str | int) -> Any:
 
 def read_document(path: Path) -> Document:
     """Read a YAML file; one that cannot be read, or holds no mapping, is a ScenarioError."""
+    if path.suffix == ".toml":
+        raise ScenarioError(f"{path}: the file of a vehicle; judge it by: quadftc check {path}")
     try:
         text = read_small(path)
     except (OSError, ValueError) as error:  # a file that is no UTF-8 text among them
         raise ScenarioError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     return parse_document(text, str(path))
+
+
+def refuse_kind(document: Document, kind: str) -> None:
+    """Raise a ScenarioError if a document is of a kind, "scenario" or "campaign", and not of the other."""
+    keys, command, needed = document.data, *KINDS[kind]
+    if all(key in keys for key in needed):
+        raise ScenarioError(f"{document.source}: a {kind}; fly it by: quadftc {command} {document.source}")
 
 
 def parse_document(text: str, source: str) -> Document:
