@@ -15,7 +15,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import resource_tracker
+from multiprocessing import connection, resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -134,6 +134,15 @@ def has_accelerator() -> bool:
 def _begin(cores: int) -> None:
     """In a process, before anything else."""
     os.environ[THREADS] = str(cores)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _follow_parent() -> None:
+    """End with the process that started this one, even if that is killed: nobody else would end it."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    connection.wait([parent.sentinel])
+    os._exit(1)
 
 
 def _call(function: Callable[..., T], arguments: tuple[object, ...], file: Path, place: int) -> T:

@@ -5,8 +5,11 @@ import json
 import os
 import re
 import signal
+import subprocess
+import sys
 
 import numpy as np
+import psutil
 import pytest
 from polars.testing import assert_frame_equal
 from worker_tasks import be_killed, double
@@ -279,6 +282,28 @@ def flown_alone(campaign):
     """Return the table of a campaign that this process flies, without a worker."""
     table = table_of([row for chunk in chunks_of(campaign, SIZE) for row in fly_chunk(campaign, chunk)])
     return table.sort("flight", "variant", "fault")
+
+
+PARENT = """
+import os, time
+from quadftc_campaign.workers import started_workers
+if __name__ == "__main__":
+    with started_workers(2) as workers:
+        waiting = [workers.submit(time.sleep, seconds) for seconds in (0.5, 60.0)]
+        waiting[0].result()
+        print(*workers._pool._processes, flush=True)
+        time.sleep(60.0)
+"""
+
+
+def test_workers_end_with_a_campaign_that_is_killed(tmp_path):
+    (tmp_path / "parent.py").write_text(PARENT)
+    parent = subprocess.Popen([sys.executable, tmp_path / "parent.py"], stdout=subprocess.PIPE, text=True)
+    workers = [psutil.Process(int(each)) for each in parent.stdout.readline().split()]
+    parent.kill()
+    parent.communicate()
+    assert len(workers) == 2
+    assert psutil.wait_procs(workers, timeout=30.0)[1] == []
 
 
 @pytest.mark.thorough
