@@ -124,7 +124,7 @@ def wrong_numbers(values: Mapping[str, Mapping[str, Any]]) -> Iterator[Problem]:
     if lag is not None and lag >= SMALLEST and not LAG[0] <= lag <= LAG[1]:
         yield Problem(ALONE, f"= {lag:g}: expected within [{LAG[0]:g}, {LAG[1]:g}] s")
     low, high, trim = (rotors.get(f"command_{name}") for name in ("min", "max", "trim"))
-    if None not in (low, high, trim) and not low < trim < high:
+    if low is not None and high is not None and trim is not None and not low < trim < high:
         told = f"= {trim}: must be in ({low:g}, {high:g}), the limits of the command"
         yield Problem("rotors.command_trim", told)
 
