@@ -45,16 +45,8 @@ def command_up_to_loss(flight: Flight, run: Path, scheme: str) -> str:
     """Return the command that flies only so much of a lost ``run`` that the loss is seen, as it was flown."""
     end = lost_at(flight)
     assert end is not None
-    words = (
-        "quadftc",
-        "run",
-        str(run / "scenario.yaml"),
-        "--scheme",
-        scheme,
-        "--until",
-        f"{math.ceil(end) + 1}s",
-    )
-    return shlex.join([*words, "--out", str(run.parent / "up_to_loss")])
+    what = "quadftc", "run", str(run / "scenario.yaml"), "--scheme", scheme
+    return shlex.join([*what, "--until", f"{math.ceil(end) + 1}s", "--out", str(run.parent / "up_to_loss")])
 
 
 def _verdicts(flight: Flight, end: float) -> Iterator[str]:

@@ -25,16 +25,11 @@ if TYPE_CHECKING:
     from quadftc_report.campaign_results import Results, Side
 
 SHOWN = "tracking_rmse_deg", "fault_estimate_rmse_deg"  # median and 95 % of their worst axes
+PAIR = "median\u00a0/\u00a095\u00a0%"  # without a break
 COLUMNS = (
-    *(
-        "flights",
-        "lost",
-        "missed faults",
-        "detection delay [s]: median\u00a0/\u00a095\u00a0%",
-        "false alarms an hour",
-    ),
-    "tracking RMSE of the worst axis [deg]: median\u00a0/\u00a095\u00a0%",
-    "RMSE of the fault estimate, worst axis [deg]: median\u00a0/\u00a095\u00a0%",
+    *("flights", "lost", "missed faults", f"detection delay [s]: {PAIR}", "false alarms an hour"),
+    f"tracking RMSE of the worst axis [deg]: {PAIR}",
+    f"RMSE of the fault estimate, worst axis [deg]: {PAIR}",
 )
 
 
