@@ -30,6 +30,7 @@ class Headline(NamedTuple):
     is_good: bool  # nothing lost, no check failed
     contrast: float  # error without a diagnosis over that with it; 0: nothing to compare with
     shown: Comparison[Any]  # the recordings that the picture shows
+    again: str  # the command that flies it up to its loss; empty if it is not lost
 
     def picture(self) -> Figure | None:
         """Return the figure of the axis with the largest error, or None if there is none."""
@@ -67,7 +68,16 @@ def headline(comparison: Comparison[Recorded]) -> Headline:
     errors = [_error(run) for run in (best, plain) if run is not None]
     contrast = errors[1] / errors[0] if len(errors) == 2 and 0.0 < errors[0] < math.inf else 0.0
     shown = dataclasses.replace(comparison, runs=(best,) if plain is None else (best, plain))
-    return Headline(f"{'; '.join(parts)}.", not failed and not metric(best, "lost"), contrast, shown)
+    is_lost = bool(metric(best, "lost"))
+    again = _command_for(best) if is_lost else ""
+    return Headline(f"{'; '.join(parts)}.", not failed and not is_lost, contrast, shown, again)
+
+
+def _command_for(run: Recorded) -> str:
+    """Return the command that flies a lost run up to its loss; empty if its scenario is not beside it."""
+    if isinstance(run, RecordedReplay) or not (run.path / SCENARIO).is_file():
+        return ""
+    return command_up_to_loss(run.flight, run.path, run.label)
 
 
 def _without_diagnosis(best: Recorded, runs: Sequence[Recorded]) -> Recorded | None:
@@ -123,10 +133,7 @@ def _degrees(angle: float) -> str:
 def _held(run: Recorded) -> str:
     """How well the vehicle flew; of a replay, how well its attitude is known."""
     if metric(run, "lost"):
-        story = loss_story(run.flight)
-        if not isinstance(run, RecordedReplay) and (run.path / SCENARIO).is_file():
-            story += f"; up to there alone: {command_up_to_loss(run.flight, run.path, run.label)}"
-        return f"LOSES the vehicle ({story})"
+        return f"LOSES the vehicle ({loss_story(run.flight)})"
     if isinstance(run, RecordedReplay):
         size = max(each or 0.0 for each in axis_metric(run, "fault_max_deg").values())
         return f"is off by {_degrees(_error(run))} at most, under faults of up to {_degrees(size)}"
