@@ -17,6 +17,7 @@ LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 RARER = -9.0  # log of odds
 THERE, NONE = np.ones(3, bool), np.zeros(3, bool)
 RETURNS = (modes.RETURN, modes.GYRO_RETURN)
+BLIND = 0.4 * np.sin(0.05 * np.arange(ROWS))  # rad/s; rate without the gyro
 ALIKE = np.zeros((modes.MODES, sum(SLOTS)))  # log weight
 
 
@@ -29,6 +30,7 @@ def readings(kind, size, slope, repeats_gyro, end=ROWS):
     pushed = np.where(elapsed > 0.0, size, 0.0) * (kind == modes.PUSH)
     rate = np.cumsum(known + pushed) * DT
     gyro = rate + 0.02 * rng.standard_normal(ROWS) + fault * (kind == modes.GYRO)
+    gyro = gyro + fault * BLIND * (kind == modes.SCALED)
     told = gyro if repeats_gyro else rate
     angle = np.cumsum(told) * DT + 0.01 * rng.standard_normal(ROWS) + fault * (kind == modes.ATTITUDE)
     return known, gyro, angle
@@ -63,9 +65,11 @@ class SecondFilter:
         self.move(F, driven, Q)
         self.age += DT if self.age >= 0.0 else 0.0
 
-    def measure(self, H, reading, variance, sensor):
+    def measure(self, H, reading, variance, sensor, blind=0.0):
         if self.age >= 0.0 and self.kind == sensor:
             H = H + np.array([0.0, 0.0, 0.0, 0.0, 1.0, self.age])
+        if self.age >= 0.0 and self.kind == modes.SCALED:
+            H = H + blind * np.eye(6)[4]
         e, V = reading - H @ self.x, H @ self.P @ H + variance
         self.log_likelihood -= 0.5 * (e * e / V + np.log(V))
         K = self.P @ H / V
@@ -90,7 +94,7 @@ def fly_bank(known, gyro, angle, repeats_gyro, *onsets):
         state = motion.predict(state, *given)
         bank = inference.move(bank, state.rate, repeats_gyro, DT)
         bank = one_onset(bank, row in onsets)
-        state, bank = measure(state, bank, mean, turn(LEVEL, angle[row] * e))
+        state, bank = measure(state, bank, mean, turn(LEVEL, angle[row] * e), BLIND[row] * e)
     return state, bank
 
 
@@ -104,9 +108,9 @@ def one_onset(bank, now):
     return inference.open_slots(bank, ALIKE, NONE, DT)
 
 
-def measure(state, bank, gyro, q_xyzw):
+def measure(state, bank, gyro, q_xyzw, blind=LEVEL[:3]):
     """Take a reading of the gyro and one of the attitude, near level: faults turn about body axes."""
-    S = inference.of_gyro(bank, state.rate, modes.pattern(modes.GYRO))
+    S = inference.of_gyro(bank, state.rate, blind)
     state, seen = motion.take_gyro(state, gyro, NOISE.gyro, THERE)
     bank = inference.weigh(bank, OF_GYRO, seen, S)
     S = inference.of_attitude(bank, state.rate, modes.pattern(modes.ATTITUDE))
@@ -117,7 +121,7 @@ def measure(state, bank, gyro, q_xyzw):
 @pytest.mark.parametrize("repeats_gyro", [False, True])
 @pytest.mark.parametrize(
     ("kind", "size", "slope"),
-    [(modes.ATTITUDE, 0.03, 0.02), (modes.GYRO, -0.1, 0.1), (modes.PUSH, 4.0, 0.0)],
+    [(modes.ATTITUDE, 0.03, 0.02), (modes.GYRO, -0.1, 0.1), (modes.PUSH, 4.0, 0.0), (modes.SCALED, 0.5, 0.0)],
 )
 def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeats_gyro, monkeypatch):
     """Separate-bias theorem: state, covariance and likelihood ratio are those of the larger filter."""
@@ -134,7 +138,8 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
             each.predict(known[row], gyro[row], repeats_gyro)
             if row == ONSET and each is knows:
                 each.begin(modes.PRIOR[mode])
-            each.measure(np.eye(6)[BETA] + np.eye(6)[OMEGA], gyro[row], NOISE.gyro[0], modes.GYRO)
+            by_gyro = np.eye(6)[BETA] + np.eye(6)[OMEGA]
+            each.measure(by_gyro, gyro[row], NOISE.gyro[0], modes.GYRO, BLIND[row])
             each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
     assert not state.loud.any()  # no reading was taken for a loud one
     evidence = believed.log_weight[mode, SLOT] - inference.USUAL[mode, SLOT]
@@ -308,12 +313,53 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
     assert fast[:-1] == pytest.approx(np.arange(len(fast) - 1) * 0.004, abs=1e-9)
 
 
+def test_a_wrong_scale_is_held_possible_by_both_witnesses_for_as_long_as_gusts_last():
+    young = one_onset(inference.start_bank(np.zeros(3)), now=True)
+    old = young._replace(age=np.where(young.age >= 0.0, motion.CORRELATED, young.age))
+    scaled, step = modes.KIND == modes.SCALED, modes.KIND == modes.GYRO
+    for bank, good, driven, held in (
+        (young, THERE, np.True_, True),
+        (old, THERE, np.True_, False),
+        (young, NONE, np.True_, False),
+        (young, THERE, np.False_, False),
+    ):
+        began = inference.believe(bank, good, THERE, driven, NONE, RARER).log_weight > inference.LOWEST
+        assert began[scaled].any(axis=-1).tolist() == [held] * 3
+        assert began[step].any(axis=-1).all()
+
+
+def test_what_a_faulty_gyro_has_taught_of_its_scale_is_forgotten():
+    taught = motion.start_motion(LEVEL, np.zeros(3), NOISE)
+    taught = taught._replace(scale=np.full((3, 3), 0.2), covariance=0.1 * taught.covariance + 1e-9)
+    axes, P = np.array([False, True, False]), taught.covariance
+    after = motion.untaught(taught, axes)
+    assert np.array_equal(after.scale, np.where(axes[:, None], 0.0, taught.scale))
+    assert np.array_equal(after.covariance[[0, 2]], P[[0, 2]])
+    own = np.arange(motion.SCALE.start, motion.SCALE.stop)
+    assert np.array_equal(after.covariance[1][np.ix_(own, own)], motion.SCALES**2 * np.eye(3))
+    others = np.setdiff1d(np.arange(motion.STATES), own)
+    assert np.array_equal(after.covariance[1][np.ix_(others, others)], P[1][np.ix_(others, others)])
+    assert not after.covariance[1][np.ix_(own, others)].any()
+    assert not after.covariance[1][np.ix_(others, own)].any()
+
+
+def test_a_scale_of_a_rate_that_is_vague_is_told_as_vaguely():
+    """A dead gyro misses the rate by as much as that itself is unknown; other faults do not."""
+    bank = one_onset(inference.start_bank(np.zeros(3)), now=True)
+    seen = motion.Gains(np.ones(3), np.ones(3), np.zeros((3, motion.STATES)), THERE)
+    S = np.ones((3, 2, modes.EFFECTS, sum(SLOTS)))
+    sharp, vague = (inference.weigh(bank, OF_GYRO, seen, S, v) for v in (np.zeros(3), np.full(3, 3.0)))
+    scaled = (modes.KIND[: modes.EFFECTS] == modes.SCALED)[:, None]
+    for before, after in ((sharp.J, vague.J), (sharp.d, vague.d)):
+        np.testing.assert_allclose(after, np.where(scaled, 0.25, 1.0) * before)
+
+
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
     bank = inference.open_slots(bank, ALIKE, NONE, 0.0)
     axes = np.array([False, True, False])
     gone, but_gyros = (inference.forget(bank, axes, settled, NONE).age < 0.0 for settled in (axes, NONE))
-    own, of_gyro = modes.AXIS[: modes.EFFECTS] == 1, modes.KIND[: modes.EFFECTS] == modes.GYRO
+    own, of_gyro = modes.AXIS[: modes.EFFECTS] == 1, modes.NAME[: modes.EFFECTS] == modes.GYRO
     assert np.array_equal(gone, own[:, None] | (bank.age < 0.0))
     assert np.array_equal(but_gyros, (own & ~of_gyro)[:, None] | (bank.age < 0.0))
 
@@ -323,9 +369,8 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
     bank = inference.open_slots(bank, ALIKE, NONE, 0.0)
     attitude, gyro = np.array([True, False, False]), np.array([False, True, False])
     gone = (inference.disregard(bank, attitude, gyro).age < 0.0) & (bank.age >= 0.0)
-    effects, axis = modes.KIND[: modes.EFFECTS], modes.AXIS[: modes.EFFECTS]
-    of_attitude = (effects == modes.ATTITUDE) | (effects == modes.LATE)
-    expected = (of_attitude & (axis == 0)) | ((effects == modes.GYRO) & (axis == 1))
+    named, axis = modes.NAME[: modes.EFFECTS], modes.AXIS[: modes.EFFECTS]
+    expected = ((named == modes.ATTITUDE) & (axis == 0)) | ((named == modes.GYRO) & (axis == 1))
     assert np.array_equal(gone.any(axis=-1), expected)
 
 
@@ -346,7 +391,7 @@ def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_d
     bank = inference.start_bank(np.zeros(3))
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0)
     after = inference.forget(bank, NONE, NONE, np.array([True, False, False]))
-    again = (modes.KIND == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
+    again = (modes.NAME == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
     for part in (after.J, after.d):
         np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))
 

@@ -124,6 +124,19 @@ def test_a_gyro_that_is_dead_or_late_while_its_axis_swings_is_named_and_no_attit
     assert alarms(said)[0] == {("gyro", axis)}
 
 
+@pytest.mark.parametrize("reads", [0.1, 0.4])
+@pytest.mark.parametrize("hertz", [0.25, 0.5])
+def test_a_gyro_of_a_wrong_scale_about_yaw_is_named_and_no_attitude_that_creeps(hertz, reads):
+    """Neither gravity nor a line tells whose error it is: the rate without the gyro does."""
+    still, unit, turns = hovering(2), np.eye(3)[2], 2.0 * np.pi * hertz
+    angle, rate = 0.1 / turns * (1.0 - np.cos(turns * ELAPSED)), 0.1 * np.sin(turns * ELAPSED)
+    told = quaternion_from_euler(euler_from_quaternion(still.imu.q_xyzw) + angle * unit)
+    torque = still.torque + QBALL.inertia * np.gradient(rate[:, 0], DT)[:, None] * unit
+    read = (still.imu.body_rate + rate * unit) * np.where(ON[:, None], 1.0 - (1.0 - reads) * unit, 1.0)
+    said = said_of(felt_too(with_imu(still, q_xyzw=told, body_rate=read)._replace(torque=torque)))
+    assert alarms(said)[0] == {("gyro", 2)}
+
+
 def test_of_a_sensor_that_is_beyond_doubt_the_likeliest_mode_is_believed():
     """A wild gyro needs twice the certainty: a step that explains less must not take its place."""
     p, doubt, few = np.zeros(modes.MODES), np.ones(modes.MODES), 1e-3
@@ -132,6 +145,17 @@ def test_of_a_sensor_that_is_beyond_doubt_the_likeliest_mode_is_believed():
     witnesses = np.zeros(3, bool), np.ones(3, bool), np.ones(1, bool)
     named = decide.named_mode(p, doubt, p, *witnesses, few=0.01, repeats_gyro=False)
     assert np.flatnonzero(named).tolist() == [wild]
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_an_attitude_is_not_named_while_its_gyro_may_be_of_a_wrong_scale(axis):
+    """The vehicle would turn with that gyro."""
+    few, attitude, of_gyro = 0.01, modes.ATTITUDE * 3 + 2, modes.SCALED * 3 + axis
+    p, doubt = np.zeros(modes.MODES), np.ones(modes.MODES)
+    p[attitude], p[of_gyro], doubt[attitude] = 1.0 - 0.5 * few, 0.5 * few, 0.5 * few
+    witnesses = np.zeros(3, bool), np.ones(3, bool), np.ones(1, bool)
+    named = decide.named_mode(p, doubt, p, *witnesses, few=few, repeats_gyro=False)
+    assert np.flatnonzero(named).tolist() == ([] if axis == 2 else [attitude])
 
 
 @pytest.mark.parametrize("by", [0.2, 0.3])

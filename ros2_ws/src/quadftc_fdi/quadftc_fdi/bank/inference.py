@@ -57,6 +57,7 @@ from quadftc_fdi.bank.modes import (
     PUSH,
     RATE,
     RETURN,
+    SCALED,
     SENSOR,
     WILD,
     pattern,
@@ -214,7 +215,7 @@ def _returning(part: Array, best: list[Array]) -> Array:
 def disregard(state: Bank, attitude: Mask, gyro: Mask) -> Bank:
     """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size."""
     none = namespace(gyro).zeros_like(gyro)
-    as_kinds = [attitude, gyro, none, none, attitude, none, none]
+    as_kinds = [attitude, gyro, none, none, attitude, none, none, gyro]
     stuck = namespace(gyro).concatenate(as_kinds, axis=-1)
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 
@@ -246,8 +247,9 @@ def of_tilt(state: Bank, vertical: Vector, added: Array) -> Array:
     return by_motion + added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
 
 
-def of_gyro(state: Bank, rate: Vector, added: Array) -> Array:
-    """S of the gyro (..., 3, 2, modes, slots); ``added`` (..., 3, modes) is what a fault of 1 rad/s adds."""
+def of_gyro(state: Bank, rate: Vector, due: Vector) -> Array:
+    """S of the gyro (..., 3, 2, modes, slots), which should read ``due`` (..., 3) [rad/s]."""
+    added = pattern(GYRO) + column(due) * pattern(SCALED)
     by_scale = sum(
         rate[..., k, None, None, None, None] * state.U[..., SCALE.start + k, :, :, :, :] for k in range(3)
     )
@@ -255,12 +257,19 @@ def of_gyro(state: Bank, rate: Vector, added: Array) -> Array:
     return by_motion + added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
 
 
-def weigh(state: Bank, channel: int, seen: Gains, S: Array) -> Bank:
-    """Take a measurement of a channel: its innovations, and what the hypotheses expect of them."""
+def weigh(state: Bank, channel: int, seen: Gains, S: Array, vague: Vector | None = None) -> Bank:
+    """Take a measurement of a channel: its innovations, and what the hypotheses expect of them.
+
+    A wrong scale is of a rate whose variance is ``vague`` (..., 3) [rad²/s²]: so vague is what it adds.
+    """
     xp = namespace(S)
     weight = column(where(seen.used, 1.0 / seen.variance, 0.0)) / state.doubt[..., channel, :, :]
     e = weight * column(seen.innovation)  # (..., 3, slots)
     square, e, w = e * column(seen.innovation), e[..., None, None, :], weight[..., None, :]
+    if vague is not None:
+        known = (seen.variance / (seen.variance + vague))[..., None, None]
+        known = where((KIND[:EFFECTS] == SCALED)[:, None], known, 1.0)
+        w, e = w * known, e * known[..., None, :, :]
     one, two = S[..., 0, :, :], S[..., 1, :, :]  # (..., 3, modes, slots)
     J = xp.stack([w * one * one, w * one * two, w * two * two], axis=-4)
     gain = seen.gain.swapaxes(-1, -2)[..., None, None, None]  # (..., 9, 3, 1, 1, 1)
@@ -279,11 +288,12 @@ def believe(
 ) -> Posterior:
     """Return the posterior of size and slope, and the weight of mode and onset.
 
-    A wild gyro is a hypothesis where the attitude is good (..., 3) and the torque known: by one of them alone
-    it cannot be told from motion, or from an attitude that jumps. Where neither a good attitude nor gravity
-    has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of odds. Where a sensor is
-    ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next fault is no rarer than
-    what is none.
+    A wild gyro, or one of a wrong scale, is a hypothesis where the attitude is good (..., 3) and the torque
+    known: by one of them alone it cannot be told from motion, or from an attitude that jumps. A wrong scale
+    is one for as long as gusts last: the rate without the gyro errs alike from sample to sample, and long
+    sums would count that as many. Where neither a good attitude nor gravity has ``held`` the angle (..., 3),
+    a fault of the gyro is ``rarer``, by a log of odds. Where a sensor is ``failing`` (..., 3), as
+    `modes.SENSOR` counts them, or was a moment ago, its next fault is no rarer than what is none.
     """
     xp, square, count = namespace(state.age), state.square, state.count  # (..., 2, axes, slots)
     J, d = (part.sum(axis=-3)[..., EFFECT, :] for part in (state.J, state.d))
@@ -296,10 +306,11 @@ def believe(
     by_scatter = xp.concatenate([others, _scattering(heard, number, scatter)], axis=-2)
     scatter = xp.concatenate([others + 1.0, scatter], axis=-2)
     shares = xp.stack([1.0 / scatter, xp.ones_like(scatter)], axis=-3)  # of gyro and attitude
-    joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
+    joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
     both = (good_attitude & column(driven))[..., AXIS]
-    began = (state.age[..., EFFECT, :] >= 0.0) & (both | (KIND != WILD))[..., None]
+    told, age = both | ((KIND != WILD) & (KIND != SCALED)), state.age[..., EFFECT, :]
+    began = (age >= 0.0) & told[..., None] & ((age < CORRELATED) | (KIND != SCALED)[:, None])
     prior = USUAL + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
     prior = prior + where((NAME == GYRO) & ~held[..., AXIS], rarer, 0.0)[..., None]
     for k, (kind, _) in enumerate(RETURNS):
@@ -396,7 +407,7 @@ def forget(state: Bank, axes: Mask, settled: Mask, alone: Mask) -> Bank:
     that is ``alone``, as its attitude is not there, needs new evidence: by torque alone all axes look alike.
     """
     own = AXIS[:EFFECTS]
-    xp, of_gyro = namespace(state.age), KIND[:EFFECTS] == GYRO
+    xp, of_gyro = namespace(state.age), NAME[:EFFECTS] == GYRO
     gone = (axes[..., own] & (settled[..., own] | ~of_gyro))[..., None]
     again = (alone[..., own] & of_gyro)[..., None]
     shown = xp.stack([axes & settled, axes], axis=-2)  # by gyro and attitude (..., 2, axes)

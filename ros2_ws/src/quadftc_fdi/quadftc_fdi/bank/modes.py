@@ -8,6 +8,9 @@ offset is unlikely, and a slow discrepancy would be the attitude's.
 
 An attitude that is late by b reads b (A - 1) / T of the angle too much, where A delays by T, `noise.LONGER`:
 Padé's all-pass (1 - s T/2) / (1 + s T/2). No attitude is early.
+
+A gyro of a wrong scale reads b times too much of what it should read. Which rate that is, attitude and torque
+tell without it: a dead gyro has none.
 """
 
 from __future__ import annotations
@@ -21,8 +24,8 @@ from numpy.typing import NDArray
 from quadftc_fdi.bank.noise import LONGER
 from quadftc_model.arrays import Scalar, Vector, column, exp
 
-# rows of the kinds; the first seven have an effect of their own
-ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, JUMP, LAG, STEADY, WILD = range(11)
+# rows of the kinds; the first eight have an effect of their own
+ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, SCALED, JUMP, LAG, STEADY, WILD = range(12)
 
 
 class Kind(NamedTuple):
@@ -30,7 +33,7 @@ class Kind(NamedTuple):
 
     component: str
     is_fault: bool
-    size: float  # standard deviation of b [rad, rad/s, rad/s², s]
+    size: float  # standard deviation of b [rad, rad/s, rad/s², s, 1]
     slope: float  # of s, per second; `NONE` where there is none
     rate: float  # per flight hour and axis
 
@@ -41,8 +44,9 @@ EVENTS = 100.0  # 1/h; chosen: on each axis, what is no fault
 ATTITUDE_SIZE = math.radians(5.0)  # rad; chosen: what a sensor jumps
 ATTITUDE_SLOPE = 0.03  # rad/s; chosen: seldom creeps; decides who is blamed for a slow discrepancy
 GYRO_SIZE = 0.3  # rad/s; chosen: what a sensor jumps, and what a fast one drifts in a second
-GYRO_WILD = 10.0  # rad/s²; chosen: of a reading that oscillates or lags
+WRONG_SCALE = 0.5  # 1; chosen: of a gyro
 PUSH_SIZE = 10.0  # rad/s²; chosen: collision, gust
+GYRO_WILD = PUSH_SIZE  # rad/s²; of a reading that oscillates or lags: as fast as a push
 JUMP_SIZE = math.radians(0.1)  # rad; chosen: what an attitude jumps as a marker hides or a filter resets
 LAGS = 0.03  # s; chosen: lag of an attitude
 NONE = 1e-6  # 1/s; rounding: the slope of what has none
@@ -54,16 +58,17 @@ KINDS = (
     Kind("attitude", True, LONGER, NONE, FAULTS),
     Kind("accelerometer", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),  # as the tilt that it shows
     Kind("gyro", False, GYRO_SIZE, GYRO_SIZE, EVENTS),  # of a fault before it, which is over
+    Kind("gyro", True, WRONG_SCALE, NONE, FAULTS),
     Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
     Kind("attitude", False, LAGS, NONE, EVENTS),
     Kind("gyro", True, GYRO_SIZE, NONE, FAULTS),
     Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
 # whose effect each kind has, and what each says
-CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, ATTITUDE, LATE, GYRO, GYRO)
-NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, FELT, GYRO_RETURN, JUMP, LAG, GYRO, GYRO)
+CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, SCALED, ATTITUDE, LATE, GYRO, GYRO)
+NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, FELT, GYRO_RETURN, GYRO, JUMP, LAG, GYRO, GYRO)
 MODES = 3 * len(KINDS)
-EFFECTS = 21  # modes with an effect of their own; the other kinds share one
+EFFECTS = 24  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
 NAME = np.array(NAMES)[KIND]

@@ -105,6 +105,15 @@ def unsettled(state: Motion, which: int, variance: Vector) -> Motion:
     return state._replace(covariance=P + more[..., None, None] * np.diag(np.eye(STATES)[which]))
 
 
+def untaught(state: Motion, axes: Mask) -> Motion:
+    """Forget scale and alignment of gyros (..., 3): what a faulty one reads tells of its fault."""
+    P = state.covariance
+    own = np.isin(np.arange(STATES), np.arange(STATES)[SCALE])
+    start = SCALES**2 * np.diag(1.0 * own)
+    P = where(axes[..., None, None], where(own | own[:, None], start, P), P)
+    return state._replace(scale=where(column(axes), 0.0, state.scale), covariance=P)
+
+
 def predict(
     state: Motion,
     known: Vector,

@@ -94,7 +94,8 @@ def take_over(
     effect = inference.by_effect(1.0 * pick)
     usual = 1.0 * (mode & ~modes.IS_FAULT).any(axis=-1)
     states = np.arange(STATES)[:, None, None]
-    of_gyro = np.equal(states, BETA) * modes.pattern(modes.GYRO)
+    gyro = modes.pattern(modes.GYRO) + column(motion.rate + motion.bias) * modes.pattern(modes.SCALED)
+    of_gyro = np.equal(states, BETA) * gyro[..., None, :, :]
     jumps = (
         np.equal(states, THETA) * (added * (modes.KIND[: modes.EFFECTS] == modes.ATTITUDE))[..., None, :, :]
     )

@@ -54,6 +54,7 @@ class State(NamedTuple):
     """What the observer knows."""
 
     motion: Motion
+    blind: Motion  # the same without the gyro, while the attitude tells of the motion
     learning: Learning
     bank: Bank
     attitude: Trust
@@ -101,6 +102,7 @@ class BankObserver(FlightLaw):
         rates_read = readings.start_readings(imu.body_rate)
         return State(
             motion=started,
+            blind=started,
             learning=learning,
             bank=bank,
             attitude=full,
@@ -143,8 +145,9 @@ class BankObserver(FlightLaw):
         good_attitude, good_gyro = speaks[0] & column(imu.attitude_valid), speaks[1] & column(imu.rate_valid)
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
         beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
-        moved, known, torque = self._predict(state, inputs, read, turning, levels, dt)
-        seen = self._measure(state, imu, moved, levels, (good_gyro, good_attitude), inputs.driven, dt)
+        moved, without, known, torque = self._predict(state, inputs, read, turning, levels, dt)
+        good = good_gyro, good_attitude
+        seen = self._measure(state, imu, moved, without, levels, good, inputs.driven, dt)
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
         bank, off = inference.disregard(seen.bank, *stuck), seen.off
         posterior, shares, p, named = self._infer(state, bank, beside, speaks, seen.tilt, inputs.driven)
@@ -153,6 +156,11 @@ class BankObserver(FlightLaw):
             is_sure,
             lambda: trust.take_over(seen.motion, bank, posterior, named, seen.added, alone, inputs.driven),
             lambda: (seen.motion, bank, p[..., 0] * 0.0),
+        )
+        blind = branch(
+            any_of(~speaks[0])[..., 0] | self.attitude_from_gyro,
+            lambda: believed,
+            lambda: motion.take_attitude(without, imu.q_xyzw, levels.attitude, good_attitude)[0],
         )
         attitude, gyro = (
             decide.said_of(sensor, 1.0 * named) > 0.0 for sensor in (modes.ATTITUDE, modes.GYRO)
@@ -169,6 +177,7 @@ class BankObserver(FlightLaw):
         gyro = trust.watch_gyro(
             before[1], gyro, age, believed, known, state.motion.bias, noise.louder(state.learning), dt
         )
+        believed = motion.untaught(believed, gyro.faulty)
         # learn
         turned = turn(state.q_xyzw, 0.5 * (read + state.rate) * column(dt))
         well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
@@ -177,6 +186,7 @@ class BankObserver(FlightLaw):
         )
         after = State(
             motion=believed,
+            blind=blind,
             learning=learning,
             bank=inference.learn_temper(bank, namespace(p).stack(well, axis=-2), dt),
             attitude=attitude,
@@ -207,18 +217,23 @@ class BankObserver(FlightLaw):
         state: State,
         imu: ImuSample,
         moved: Motion,
+        blind: Motion,
         levels: Noise,
         good: tuple[Mask, Mask],
         driven: Flag,
         dt: float,
     ) -> Measured:
-        """Take gyro and attitude where they are ``good``, and the tilt by gravity."""
+        """Take gyro and attitude where they are ``good``, and the tilt by gravity.
+
+        ``blind`` is the motion without the gyro.
+        """
         good_gyro, good_attitude = good
         bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
         bank = inference.open_slots(bank, state.worth, state.failed > 0.0, dt)
-        expected = inference.of_gyro(bank, moved.rate, modes.pattern(modes.GYRO))
+        expected = inference.of_gyro(bank, moved.rate, blind.rate + moved.bias)
         moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
-        bank = inference.weigh(bank, OF_GYRO, by_gyro, expected)
+        vague = blind.covariance[..., motion.OMEGA, motion.OMEGA]
+        bank = inference.weigh(bank, OF_GYRO, by_gyro, expected, vague)
         angles = euler_from_quaternion(moved.q_xyzw)
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
         lead = modes.ahead(state.lead, wrap(angles - euler_from_quaternion(state.motion.q_xyzw)), dt)
@@ -291,8 +306,10 @@ class BankObserver(FlightLaw):
         turning: Vector,
         levels: Noise,
         dt: float,
-    ) -> tuple[Motion, Vector, Vector]:
-        """Predict the motion; also return the known acceleration [rad/s²] and the torque [N m].
+    ) -> tuple[Motion, Motion, Vector, Vector]:
+        """Predict the motion, with the gyro and without it.
+
+        Also return the known acceleration [rad/s²] and the torque [N m].
 
         ``turning`` is the variance of the acceleration that a suspect rotor may give [rad²/s⁴].
         """
@@ -307,7 +324,11 @@ class BankObserver(FlightLaw):
         mean = 0.5 * (read + state.rate)
         repeats = self.attitude_from_gyro
         moves = known + usual, between, inputs.driven, mean, walk, levels, repeats
-        return motion.predict(motion.unsettled(state.motion, motion.D, turning), *moves, dt), known, torque
+        moved, without = (
+            motion.predict(motion.unsettled(each, motion.D, turning), *moves, dt)
+            for each in (state.motion, state.blind)
+        )
+        return moved, without, known, torque
 
     def _infer(
         self,
