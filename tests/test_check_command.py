@@ -62,6 +62,6 @@ def test_isolability_shows_which_faults_look_the_same():
 
 
 def test_an_unknown_sensor_is_refused_with_those_there_are():
-    done = check("paper_faults", "--isolability", "--sensors", "attitude,gyros")
+    done = check("paper_faults", "--sensors", "attitude,gyros")
     assert done.returncode == 2
     assert done.stderr.startswith("error: sensor_set: 'gyros' is none of attitude, gyro, ")

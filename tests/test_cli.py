@@ -212,7 +212,7 @@ def test_list_shows_what_there_is(folder: Path, kind: str):
     names = {
         "observers": ("sliding_mode", "epsilon_s", "rad"),
         "controllers": ("ismc", "smc", "pid", "k_c3"),
-        "faults": ("bias", "drift", "sine", "scale", "noise", "stuck", "spikes", "dropout", "delay", "nan"),
+        "faults": ("bias", "drift", "sine", "scale", "noise", "stuck", "spikes", "nan", "duration"),
         "winds": ("constant", "gust", "dryden", "m/s"),
         "position_controllers": ("geometric", "pid_cascade", "1/s^2"),
         "trajectories": ("circle", "figure_eight", "hover", "waypoints", "m/s"),

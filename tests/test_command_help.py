@@ -34,6 +34,13 @@ def test_command_that_cannot_be_imported_does_not_spoil_the_list():
     assert purpose(EntryPoint("lost", "no_such_package.commands:lost", SUBCOMMANDS)) == "(cannot be imported)"
 
 
+@pytest.mark.parametrize("words", [["-h"], ["check", "-h"], ["new", "observer", "-h"]])
+def test_help_has_a_short_name(words):
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0
+    assert done.output.startswith("Usage: ")
+
+
 def test_version_is_told():
     done = CliRunner().invoke(app, ["--version"])
     assert done.exit_code == 0

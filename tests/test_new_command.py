@@ -91,6 +91,7 @@ def test_package_registers_its_law_by_an_entry_point(tmp_path, kind):
     ("kind", "name", "words"),
     [
         ("observer", "isolating", "exists already, see quadftc list observers"),
+        ("observer", "numpy", "numpy: Python has a package of that name already"),
         ("observer", "My", "small letters"),
         ("observer", "class", "small letters"),
         ("plant", "mine", "expected one of observer, controller, fault"),

@@ -236,7 +236,8 @@ def _find_bags(
 ) -> tuple[tuple[Path, ...], list[Problem]]:
     """Return the bags of a campaign on recordings, and what is wrong if there are none."""
     if keys.source.kind != "recordings":
-        return (), []
+        told = f"{keys.source.kind!r}; expected 'recordings' for --recordings"
+        return (), [Problem(("source", "kind"), told)] if recordings else []
     directory = recordings or path.parent / keys.source.directory
     is_named = bool(recordings or keys.source.directory)
     bags = bags_in(directory) if is_named else ()

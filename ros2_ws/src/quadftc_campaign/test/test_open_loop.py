@@ -239,6 +239,11 @@ def test_samples_alone_do_not_fly_in_jax(tmp_path):
         written(tmp_path, CAMPAIGN, engine="jax")
 
 
+def test_recordings_of_a_campaign_that_flies_none_are_refused(tmp_path):
+    with pytest.raises(ScenarioError, match=r"source.kind: 'motion'; expected 'recordings' for --recordings"):
+        written(tmp_path, CAMPAIGN, recordings=tmp_path)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

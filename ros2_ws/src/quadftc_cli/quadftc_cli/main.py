@@ -116,7 +116,11 @@ def purpose(entry: EntryPoint) -> str:
 
 PLAIN: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}
 app = typer.Typer(
-    cls=Subcommands, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+    cls=Subcommands,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["--help", "-h"]},
 )
 
 

@@ -5,6 +5,7 @@ They are copies of the examples under other names: of the package ``own_observer
 
 from __future__ import annotations
 
+import importlib.util
 import keyword
 import re
 from pathlib import Path
@@ -91,6 +92,8 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
     folder = directory / name
     if folder.exists():
         raise ValueError(f"{folder}: exists")
+    if importlib.util.find_spec(name) is not None:
+        raise ValueError(f"{name}: Python has a package of that name already; expected another")
     row, example = KINDS[kind], KINDS["observer"]
     words = {
         rf"\b({row.named}|{example.named}|{PACKAGE})\b": name,

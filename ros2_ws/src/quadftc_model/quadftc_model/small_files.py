@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ else:
     import tomli as tomllib
 
 LARGEST = 1 << 18  # bytes; 60 times the largest vehicle, scenario or campaign of quadftc
+
+LONGEST = 80  # characters of a line that is shown
 
 
 def read_small(path: Path) -> str:
@@ -28,7 +31,15 @@ def read_small(path: Path) -> str:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a table in TOML as `read_small` does; a ValueError as well where it is no TOML."""
+    text = read_small(path)
     try:
-        return tomllib.loads(read_small(path))
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r" \(at line (\d+), column \d+\)$", str(error))
+        if place is None:
+            raise
+        wrong, said = text.split("\n")[int(place[1]) - 1].strip(), str(error)[: place.start()]
+        hint = ": a value with a unit stands in quotes" if "=" in wrong and '"' not in wrong else ""
+        raise ValueError(f"line {place[1]}: {wrong[:LONGEST]!r}: {said}{hint}") from None
     except RecursionError:
         raise ValueError("nested too deeply") from None

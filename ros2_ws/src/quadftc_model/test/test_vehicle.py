@@ -114,7 +114,7 @@ def test_unknown_vehicle_is_refused_with_those_that_there_are():
             r"aerodynamics = 1\nmass\1",
             r"aerodynamics = 1: expected a table",
         ),
-        (r"^\[rotors\]", "[rotors", r"Expected ']' at the end of a table declaration"),
+        (r"^\[rotors\]", "[rotors", r"line \d+: '\[rotors': Expected ']' at the end of a table declaration"),
     ],
 )
 def test_wrong_file_is_refused_with_its_path_and_key(tmp_path, pattern, replacement, message):
@@ -132,6 +132,13 @@ def test_file_that_is_no_text_is_refused_with_its_path(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ValueError, match=r"vehicle .*binary\.toml"):
         load_vehicle(str(tmp_path / "binary.toml"))
+
+
+def test_a_value_with_a_unit_and_no_quotes_is_shown_with_its_line(tmp_path):
+    (tmp_path / "bare.toml").write_text("# of a quad\nmass = 0.65 kg\n")
+    said = r"bare\.toml: line 2: 'mass = 0.65 kg': .*: a value with a unit stands in quotes"
+    with pytest.raises(ValueError, match=said):
+        load_vehicle(str(tmp_path / "bare.toml"))
 
 
 @pytest.mark.parametrize(

@@ -85,6 +85,9 @@ def _components(kind: str) -> Table:
         for row in rows[1:]:
             table.add_row("", "", *_cells(row))
         table.add_section()
+    if kind in ("faults", "rotor_faults"):
+        place = "channel, axes" if kind == "faults" else "rotors"
+        table.caption = f"Each has {place}, start, and stop or duration, too."
     return table
 
 

@@ -28,7 +28,9 @@ def check(
     isolability: Annotated[
         bool, Option("--isolability", help="Instead: which faults can be detected and told apart.")
     ] = False,
-    sensors: Annotated[str, Option(help="For --isolability: sensors, by comma.")] = "attitude,gyro",
+    sensors: Annotated[
+        str, Option(help="The same, by some sensors: names, by comma.", show_default="attitude,gyro")
+    ] = "",
     as_json: Annotated[bool, Option("--json", help="For machines.")] = False,
 ) -> None:
     """Say where the theory holds: one line for each condition, with its numbers.
@@ -39,6 +41,6 @@ def check(
     from quadftc_cli.checking import check_target  # with what it needs, over a second
 
     parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
-    instead = sensors if isolability else None
+    instead = (sensors or "attitude,gyro") if isolability or sensors else None
     if not check_target(target, scheme, parts, (set_, gains), instead, as_json):
         raise typer.Exit(CHECK_FAILED)

@@ -35,7 +35,10 @@ VehicleName = Annotated[
 Seed = Annotated[int, Option(help="Seed of random faults.")]
 FalseAlarms = Annotated[
     str,
-    Option(metavar="LEVEL", help="Flights with a false finding at most, such as 1/5h; default: as it is."),
+    Option(
+        metavar="N/TIME",
+        help="At most N healthy flights in TIME may have a finding: 1/5h. Default: no bound.",
+    ),
 ]
 Out = Annotated[
     Path | None,

@@ -39,11 +39,12 @@ def tune(
         raise CampaignError(f"{path}: exists; --force replaces it")
     screen = console()
     numbers = f"{len(start.logarithms)} numbers in {', '.join(start.names)}"
-    say(f"{loaded.name}: {numbers}; scheme {loaded.variants[0].scheme}")
+    say(f"{loaded.name}: {numbers}; scheme {loaded.variants[0].scheme}; compiling first")
     total, done = loaded.tune.steps if loaded.tune else 1, itertools.count(1)
     try:
         with Bars(screen) as bars:
             update = bars.add("tuning")
+            update(0.0, "compiling")
             found = tuned_for(loaded, cores, lambda cost: update(next(done) / total, f"cost {cost:.4f}"))
     except KeyboardInterrupt:
         screen.print("interrupted; nothing is written")
