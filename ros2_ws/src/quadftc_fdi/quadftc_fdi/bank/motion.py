@@ -107,10 +107,9 @@ def unsettled(state: Motion, which: int, variance: Vector) -> Motion:
 
 def untaught(state: Motion, axes: Mask) -> Motion:
     """Forget scale and alignment of gyros (..., 3): what a faulty one reads tells of its fault."""
-    P = state.covariance
     own = np.isin(np.arange(STATES), np.arange(STATES)[SCALE])
     start = SCALES**2 * np.diag(1.0 * own)
-    P = where(axes[..., None, None], where(own | own[:, None], start, P), P)
+    P = where(column(column(axes)) & (own | own[:, None]), start, state.covariance)
     return state._replace(scale=where(column(axes), 0.0, state.scale), covariance=P)
 
 
