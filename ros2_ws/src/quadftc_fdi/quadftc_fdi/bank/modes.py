@@ -9,8 +9,8 @@ offset is unlikely, and a slow discrepancy would be the attitude's.
 An attitude that is late by b reads b (A - 1) / T of the angle too much, where A delays by T, `noise.LONGER`:
 Padé's all-pass (1 - s T/2) / (1 + s T/2). No attitude is early.
 
-A gyro of a wrong scale reads b times too much of what it should read. Which rate that is, attitude and torque
-tell without it: a dead gyro has none.
+A gyro of a wrong scale reads b times what it should read too much. What that is, attitude and torque tell
+without the gyro: a dead one shows no rate.
 """
 
 from __future__ import annotations
