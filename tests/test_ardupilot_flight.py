@@ -54,6 +54,15 @@ class StandIn:
         return self.receive()
 
 
+def published(backend, last):
+    """Return what the backend publishes of a sample, up to its last topic: it answers SITL first."""
+    found, end = [], time.monotonic() + 20.0
+    while not found or found[-1][0] != last:
+        assert time.monotonic() < end
+        found += backend.take()
+    return found
+
+
 @contextlib.contextmanager
 def beside(make, faults=(), **parameters):
     """A backend with faults, a node beside it, the stand-in, and a function that flies a time [s].
@@ -70,7 +79,7 @@ def beside(make, faults=(), **parameters):
             said = {}
             for _ in range(round(duration * RATE)):
                 sitl.fly()
-                for topic, message in backend.take():
+                for topic, message in published(backend, "wind/applied"):
                     if topic in node.topics:
                         node.feed(topic, message)
                 for topic, message in node.take():

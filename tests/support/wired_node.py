@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -49,7 +50,7 @@ class Wired:
     def __init__(self, make: Callable[..., GraphNode], mode: str, **parameters: Any) -> None:
         self.context = Context()
         self.context.init()
-        self._out: dict[str, list[bytes]] = {}
+        self._out: deque[tuple[str, bytes]] = deque()  # a thread of the node may publish meanwhile
         given = {"mode": mode, **parameters}
         overrides = [Parameter(name, value=value) for name, value in given.items()]
         try:
@@ -72,7 +73,7 @@ class Wired:
         self.context.try_shutdown()
 
     def _tap(self, topic: str) -> Callable[[bytes], None]:
-        return self._out.setdefault(topic.removeprefix("/"), []).append
+        return lambda data: self._out.append((topic.removeprefix("/"), data))
 
     def feed(self, topic: str, message: Any) -> None:
         """Have the node take a message, or serialised bytes."""
@@ -87,12 +88,12 @@ class Wired:
         return service.callback(request, service.srv_type.Response())
 
     def take(self) -> list[tuple[str, Any]]:
-        """Return all that was published since the last time: topic and message."""
+        """Return all that was published since the last time, in that order: topic and message."""
         found: list[tuple[str, Any]] = []
-        for topic, received in self._out.items():
+        while self._out:
+            topic, data = self._out.popleft()
             message_class = load_message_class(TOPICS[topic if topic in TOPICS else f"/{topic}"].type_name)
-            found += [(topic, deserialize_message(data, message_class)) for data in received]
-            received.clear()
+            found.append((topic, deserialize_message(data, message_class)))
         return found
 
 
