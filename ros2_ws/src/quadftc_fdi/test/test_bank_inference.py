@@ -313,19 +313,38 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
     assert fast[:-1] == pytest.approx(np.arange(len(fast) - 1) * 0.004, abs=1e-9)
 
 
-def test_a_wrong_scale_is_held_possible_by_both_witnesses_for_as_long_as_gusts_last():
-    young = one_onset(inference.start_bank(np.zeros(3)), now=True)
-    old = young._replace(age=np.where(young.age >= 0.0, motion.CORRELATED, young.age))
+def test_a_wrong_scale_is_held_possible_by_both_witnesses():
+    bank = one_onset(inference.start_bank(np.zeros(3)), now=True)
     scaled, step = modes.KIND == modes.SCALED, modes.KIND == modes.GYRO
-    for bank, good, driven, held in (
-        (young, THERE, np.True_, True),
-        (old, THERE, np.True_, False),
-        (young, NONE, np.True_, False),
-        (young, THERE, np.False_, False),
+    for good, driven, held in (
+        (THERE, np.True_, True),
+        (NONE, np.True_, False),
+        (THERE, np.False_, False),
     ):
         began = inference.believe(bank, good, THERE, driven, NONE, RARER).log_weight > inference.LOWEST
         assert began[scaled].any(axis=-1).tolist() == [held] * 3
         assert began[step].any(axis=-1).all()
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_a_rate_whose_errors_are_alike_is_known_as_a_white_one_that_averages_alike(rho):
+    P, dt, many = np.array([1e-4, 4e-4, 9e-4]), 0.004, 2000
+    state = motion.start_motion(LEVEL, np.zeros(3), NOISE)
+    cov = np.zeros_like(state.covariance)
+    cov[:, motion.OMEGA, motion.OMEGA], cov[:, motion.OMEGA, motion.D] = 0.8 * rho * P, 0.2 * rho * P / dt
+    now = state.covariance.copy()
+    now[:, motion.OMEGA, motion.OMEGA] = P
+    known = motion.rate_known(state._replace(covariance=cov), state._replace(covariance=now), dt)
+    apart = abs(np.subtract.outer(np.arange(many), np.arange(many)))
+    of_mean = P * (rho**apart).mean()  # of that many errors, each like the one before by rho
+    assert known / many == pytest.approx(of_mean, rel=0.02)
+
+
+def test_a_rate_that_nothing_corrects_is_hardly_known_but_known():
+    state = motion.start_motion(LEVEL, np.zeros(3), NOISE)
+    known = motion.rate_known(state, state, 0.004)
+    assert np.all(known > 50.0 * state.covariance[:, motion.OMEGA, motion.OMEGA])
+    assert np.all(np.isfinite(known))
 
 
 def test_what_a_faulty_gyro_has_taught_of_its_scale_is_forgotten():

@@ -146,15 +146,16 @@ def test_of_a_sensor_that_is_beyond_doubt_the_likeliest_mode_is_believed():
     assert np.flatnonzero(named).tolist() == [wild]
 
 
-@pytest.mark.parametrize("axis", range(3))
-def test_an_attitude_is_not_named_while_its_gyro_may_be_of_a_wrong_scale(axis):
-    """The vehicle would turn with that gyro."""
-    few, attitude, of_gyro = 0.01, modes.ATTITUDE * 3 + 2, modes.SCALED * 3 + axis
-    p, doubt = np.zeros(modes.MODES), np.ones(modes.MODES)
-    p[attitude], p[of_gyro], doubt[attitude] = 1.0 - 0.5 * few, 0.5 * few, 0.5 * few
-    witnesses = np.zeros(3, bool), np.ones(3, bool), np.ones(1, bool)
-    named = decide.named_mode(p, doubt, p, *witnesses, few=few, repeats_gyro=False)
-    assert np.flatnonzero(named).tolist() == ([] if axis == 2 else [attitude])
+@pytest.mark.parametrize("slope", [-0.5 * DEG, 0.8 * DEG])
+@pytest.mark.parametrize("hertz", [0.25, 0.5])
+def test_an_attitude_that_creeps_about_yaw_is_named_and_no_gyro_of_a_wrong_scale(hertz, slope):
+    still, unit, turns = hovering(2), np.eye(3)[2], 2.0 * np.pi * hertz
+    angle, rate = 0.1 / turns * (1.0 - np.cos(turns * TIME)), 0.1 * np.sin(turns * TIME)
+    told = euler_from_quaternion(still.imu.q_xyzw) + (angle[:, None] + slope * ELAPSED) * unit
+    torque = still.torque + QBALL.inertia * np.gradient(rate, DT)[:, None] * unit
+    flight = with_imu(still, q_xyzw=quaternion_from_euler(told))._replace(torque=torque)
+    said = said_of(with_imu(felt_too(flight), body_rate=still.imu.body_rate + rate[:, None] * unit))
+    assert alarms(said)[0] == {("attitude", 2)}
 
 
 @pytest.mark.parametrize("by", [0.2, 0.3])

@@ -73,14 +73,12 @@ def named_mode(
     ``aged`` is p times the age of its onset [s]; ``few`` the probability that may be left beside it.
 
     Twice the certainty is needed without a torque, and of an attitude without a gyro: only one witness is
-    left. It is needed of an attitude of which the position is ``asked`` (..., 3), as that speaks late; where
-    its gyro may be of a wrong scale, as the vehicle would turn with that; of one that returns; and of one
-    that jumps, which must have stayed. Thrice is needed of a push, and of a lag: these hide what began with
-    them. A wild gyro must be so for as long as it takes to hear vibration.
+    left. It is needed of an attitude of which the position is ``asked`` (..., 3), as that speaks late; of one
+    that returns; and of one that jumps, which must have stayed. Thrice is needed of a push, and of a lag:
+    these hide what began with them. A wild gyro must be so for as long as it takes to hear vibration.
     """
     kind, name = modes.KIND, modes.NAME
-    scaled = p[..., kind == modes.SCALED] > few * few
-    last = ((name == modes.ATTITUDE) & (~good_gyro | asked | scaled)[..., modes.AXIS]) | ~driven
+    last = ((name == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven
     stays = (kind == modes.JUMP) & (aged > readings.BACK * p)
     twice = last | stays | (kind == modes.RETURN) | (kind == modes.GYRO_RETURN) | (kind == modes.WILD)
     least = where(twice, few * few, where(modes.IS_FAULT, few, few**3))

@@ -43,13 +43,13 @@ import numpy as np
 
 from quadftc_fdi.bank.modes import (
     AXIS,
-    CHANGES,
     EFFECT,
     EFFECTS,
     GYRO,
     GYRO_RETURN,
     IS_FAULT,
     KIND,
+    KINDS,
     LATE,
     MORE,
     NAME,
@@ -260,7 +260,7 @@ def of_gyro(state: Bank, rate: Vector, due: Vector) -> Array:
 def weigh(state: Bank, channel: int, seen: Gains, S: Array, vague: Vector | None = None) -> Bank:
     """Take a measurement of a channel: its innovations, and what the hypotheses expect of them.
 
-    A wrong scale is of a rate whose variance is ``vague`` (..., 3) [rad²/s²]: so vague is what it adds.
+    A wrong scale adds what is as vague as the rate: ``vague`` (..., 3) [rad²/s²], by `motion.rate_known`.
     """
     xp = namespace(S)
     weight = column(where(seen.used, 1.0 / seen.variance, 0.0)) / state.doubt[..., channel, :, :]
@@ -289,11 +289,10 @@ def believe(
     """Return the posterior of size and slope, and the weight of mode and onset.
 
     A wild gyro, or one of a wrong scale, is a hypothesis where the attitude is good (..., 3) and the torque
-    known: by one of them alone it cannot be told from motion, or from an attitude that jumps. A wrong scale
-    is one for as long as gusts last: the rate without the gyro errs alike from sample to sample, and long
-    sums would count that as many. Where neither a good attitude nor gravity has ``held`` the angle (..., 3),
-    a fault of the gyro is ``rarer``, by a log of odds. Where a sensor is ``failing`` (..., 3), as
-    `modes.SENSOR` counts them, or was a moment ago, its next fault is no rarer than what is none.
+    known: by one of them alone it cannot be told from motion, or from an attitude that jumps. Where neither a
+    good attitude nor gravity has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of
+    odds. Where a sensor is ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next
+    fault is no rarer than what is none.
     """
     xp, square, count = namespace(state.age), state.square, state.count  # (..., 2, axes, slots)
     J, d = (part.sum(axis=-3)[..., EFFECT, :] for part in (state.J, state.d))
@@ -310,7 +309,7 @@ def believe(
     joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
     both = (good_attitude & column(driven))[..., AXIS]
     told, age = both | ((KIND != WILD) & (KIND != SCALED)), state.age[..., EFFECT, :]
-    began = (age >= 0.0) & told[..., None] & ((age < CORRELATED) | (KIND != SCALED)[:, None])
+    began = (age >= 0.0) & told[..., None]
     prior = USUAL + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
     prior = prior + where((NAME == GYRO) & ~held[..., AXIS], rarer, 0.0)[..., None]
     for k, (kind, _) in enumerate(RETURNS):
@@ -344,7 +343,7 @@ def _explained(J: Array, d: Array, b: Array) -> Array:
 
 def _of_the_best(misfit: Array, worth: Array) -> Array:
     """Return the misfit of the likeliest hypothesis of each axis (..., 3), at least 1."""
-    rows = (*worth.shape[:-2], len(CHANGES), 3, len(RING))
+    rows = (*worth.shape[:-2], len(KINDS), 3, len(RING))
     misfit, worth = misfit.reshape(rows), worth.reshape(rows)
     best = worth == worth.max(axis=(-1, -3), keepdims=True)
     return larger(where(best, misfit, -LOWEST).min(axis=(-1, -3)), 1.0)
@@ -352,9 +351,10 @@ def _of_the_best(misfit: Array, worth: Array) -> Array:
 
 def by_effect(of_modes: Array) -> Array:
     """Add up (..., modes, slots) of modes whose effects are alike: (..., effects, slots)."""
-    kinds = [of_modes[..., 3 * kind : 3 * kind + 3, :] for kind in range(len(CHANGES))]
-    for kind in range(EFFECTS // 3, len(CHANGES)):
-        kinds[CHANGES[kind]] = kinds[CHANGES[kind]] + kinds[kind]
+    kinds = [of_modes[..., 3 * kind : 3 * kind + 3, :] for kind in range(len(KINDS))]
+    for kind in range(EFFECTS // 3, len(KINDS)):
+        effect = KINDS[kind].effect
+        kinds[effect] = kinds[effect] + kinds[kind]
     return namespace(of_modes).concatenate(kinds[: EFFECTS // 3], axis=-2)
 
 

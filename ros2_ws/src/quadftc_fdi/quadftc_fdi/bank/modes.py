@@ -4,7 +4,8 @@ A mode adds b + s t to a reading, t after its onset, or b to the unknown acceler
 ends what an earlier onset has added. What is known of size b and slope s beforehand is normal about zero.
 
 A gyro that jumps and stays is a row beside one that drifts: with a slope that may be anything, a constant
-offset is unlikely, and a slow discrepancy would be the attitude's.
+offset is unlikely, and a slow discrepancy would be the attitude's. So are an attitude and a gyro that creep,
+of no size: the freedom to jump, too, costs them more than a rival of one number pays.
 
 An attitude that is late by b reads b (A - 1) / T of the angle too much, where A delays by T, `noise.LONGER`:
 Padé's all-pass (1 - s T/2) / (1 + s T/2). No attitude is early.
@@ -25,16 +26,18 @@ from quadftc_fdi.bank.noise import LONGER
 from quadftc_model.arrays import Scalar, Vector, column, exp
 
 # rows of the kinds; the first eight have an effect of their own
-ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, SCALED, JUMP, LAG, STEADY, WILD = range(12)
+ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, SCALED = range(8)
+JUMP, LAG, STEADY, CREEP, RAMP, WILD = range(8, 14)
 
 
 class Kind(NamedTuple):
     """A kind of fault, or of what is none."""
 
-    component: str
+    effect: int  # the kind that adds what it adds
+    name: int  # the kind that it is said to be
     is_fault: bool
-    size: float  # standard deviation of b [rad, rad/s, rad/s², s, 1]
-    slope: float  # of s, per second; `NONE` where there is none
+    size: float  # standard deviation of b [rad, rad/s, rad/s², s, 1]; `NONE` where there is none
+    slope: float  # of s, per second; the same
     rate: float  # per flight hour and axis
 
 
@@ -49,30 +52,29 @@ PUSH_SIZE = 10.0  # rad/s²; chosen: collision, gust
 GYRO_WILD = PUSH_SIZE  # rad/s²; of a reading that oscillates or lags: as fast as a push
 JUMP_SIZE = math.radians(0.1)  # rad; chosen: what an attitude jumps as a marker hides or a filter resets
 LAGS = 0.03  # s; chosen: lag of an attitude
-NONE = 1e-6  # 1/s; rounding: the slope of what has none
+NONE = 1e-6  # 1; rounding: size or slope of what has none
 KINDS = (
-    Kind("attitude", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),
-    Kind("gyro", True, GYRO_SIZE, GYRO_SIZE, FAULTS),
-    Kind("push", False, PUSH_SIZE, NONE, EVENTS),
-    Kind("attitude", False, ATTITUDE_SIZE, ATTITUDE_SLOPE, EVENTS),  # of a fault before it, which is over
-    Kind("attitude", True, LONGER, NONE, FAULTS),
-    Kind("accelerometer", True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),  # as the tilt that it shows
-    Kind("gyro", False, GYRO_SIZE, GYRO_SIZE, EVENTS),  # of a fault before it, which is over
-    Kind("gyro", True, WRONG_SCALE, NONE, FAULTS),
-    Kind("attitude", False, JUMP_SIZE, NONE, EVENTS),
-    Kind("attitude", False, LAGS, NONE, EVENTS),
-    Kind("gyro", True, GYRO_SIZE, NONE, FAULTS),
-    Kind("gyro", True, GYRO_SIZE, GYRO_WILD, FAULTS),
+    Kind(ATTITUDE, ATTITUDE, True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),
+    Kind(GYRO, GYRO, True, GYRO_SIZE, GYRO_SIZE, FAULTS),
+    Kind(PUSH, PUSH, False, PUSH_SIZE, NONE, EVENTS),
+    Kind(RETURN, RETURN, False, ATTITUDE_SIZE, ATTITUDE_SLOPE, EVENTS),  # of an attitude that was off before
+    Kind(LATE, ATTITUDE, True, LONGER, NONE, FAULTS),
+    Kind(FELT, FELT, True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),  # of the accelerometer, as a tilt
+    Kind(GYRO_RETURN, GYRO_RETURN, False, GYRO_SIZE, GYRO_SIZE, EVENTS),  # of a gyro that was off before
+    Kind(SCALED, GYRO, True, WRONG_SCALE, NONE, FAULTS),
+    Kind(ATTITUDE, JUMP, False, JUMP_SIZE, NONE, EVENTS),
+    Kind(LATE, LAG, False, LAGS, NONE, EVENTS),
+    Kind(GYRO, GYRO, True, GYRO_SIZE, NONE, FAULTS),
+    Kind(ATTITUDE, ATTITUDE, True, NONE, ATTITUDE_SLOPE, FAULTS),
+    Kind(GYRO, GYRO, True, NONE, GYRO_SIZE, FAULTS),
+    Kind(GYRO, GYRO, True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
-# whose effect each kind has, and what each says
-CHANGES = (ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, SCALED, ATTITUDE, LATE, GYRO, GYRO)
-NAMES = (ATTITUDE, GYRO, PUSH, RETURN, ATTITUDE, FELT, GYRO_RETURN, GYRO, JUMP, LAG, GYRO, GYRO)
 MODES = 3 * len(KINDS)
 EFFECTS = 24  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
-NAME = np.array(NAMES)[KIND]
-EFFECT = 3 * np.array(CHANGES)[KIND] + AXIS
+NAME = np.array([kind.name for kind in KINDS])[KIND]
+EFFECT = 3 * np.array([kind.effect for kind in KINDS])[KIND] + AXIS
 PRIOR = np.array([[kind.size, kind.slope] for kind in KINDS])[KIND] ** 2  # (modes, 2) variances
 RATE = np.array([kind.rate for kind in KINDS])[KIND] / 3600.0  # (modes,) per second
 MORE = np.log(EVENTS / FAULTS)  # added to the log of a rate where another axis of the sensor is faulty

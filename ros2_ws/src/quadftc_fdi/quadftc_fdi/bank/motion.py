@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.bank.modes import LAGS
-from quadftc_fdi.bank.noise import SEVERAL, SMALL, Noise
+from quadftc_fdi.bank.noise import COLOURED, SEVERAL, SMALL, Noise
 from quadftc_fdi.isolation.accelerometer_monitor import LEARNED, LEAST, OFFSET
 from quadftc_model.arrays import (
     Array,
@@ -44,6 +44,7 @@ from quadftc_model.arrays import (
     largest,
     namespace,
     norm,
+    smaller,
     stacked,
     where,
 )
@@ -155,6 +156,17 @@ def _moved(P: Array, repeats_gyro: bool, dt: Scalar) -> Array:
     rows[OMEGA] = rows[OMEGA] + step * rows[D]
     rows[D] = exp(-step / CORRELATED) * rows[D]
     return namespace(P).stack(rows, axis=-2)
+
+
+def rate_known(before: Motion, now: Motion, dt: Scalar) -> Vector:
+    """Return how vague the rate is that was predicted from ``before`` over ``dt`` [s]: a variance [rad²/s²].
+
+    It is that of white errors which average alike: of errors that correlate by rho from sample to sample,
+    (1 + rho) / (1 - rho) times their own.
+    """
+    P, last = now.covariance[..., OMEGA, OMEGA], before.covariance[..., OMEGA, :]
+    alike = smaller(last[..., OMEGA] + column(dt) * last[..., D], COLOURED * P)
+    return P * (P + alike) / (P - alike)
 
 
 def take_gyro(state: Motion, gyro: Vector, noise: Vector, used: Mask) -> tuple[Motion, Gains]:

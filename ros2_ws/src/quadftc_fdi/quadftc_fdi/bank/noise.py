@@ -15,8 +15,9 @@ sample have a variance of 6 R (1 - 4/3 rho + rho²/3) only. R is then seen over 
 is that of white noise which averages alike, R (1 + rho) / (1 - rho). Vibration comes at once: by how much
 those changes have grown over the longer lag, by that the noise has.
 
-A steady drift is taken off: a trim, a bias. Squares are clipped, so spikes, and a fault that has not been
-found yet, teach little; news count twice, so that what was learned at first is soon outweighed.
+A steady drift is taken off: a trim, a bias. A spike of the gyro is clipped before a lag sums it up: it is no
+noise that lasts, and no acceleration. Squares are clipped, so a fault that has not been found yet teaches
+little; news count twice, so that what was learned at first is soon outweighed.
 """
 
 from __future__ import annotations
@@ -95,9 +96,8 @@ class Learning(NamedTuple):
     attitude: Variogram
     lately: Vector  # mean square of the gyro from sample to sample, over the longer lag alone [rad²/s²]
     bend: Bend
-    moved: Vector  # of the gyro against torque, at the last sample [rad/s]
-    rate: Vector  # reading of the gyro at its anchor [rad/s]
-    turned: Vector  # by torque since [rad/s]
+    moved: Vector  # of the gyro against torque, at the last sample, less spikes [rad/s]
+    walked: Vector  # sum of that since the gyro's anchor [rad/s]
     age: Scalar  # of that anchor [s]
     q_xyzw: Quaternion  # attitude at its anchor, turned with the gyro since
     older: Scalar  # age of that anchor [s]
@@ -116,7 +116,7 @@ def start_learning(q_xyzw: Quaternion, gyro: Vector) -> Learning:
     none, near = zeros[..., 0], by_torque.near
     bend = Bend(near, zeros, zeros, none)
     begun = none, zeros, none, zeros, none + 1.0
-    return Learning(by_torque, by_gyro, near, bend, zeros, gyro, zeros, none, q_xyzw, *begun)
+    return Learning(by_torque, by_gyro, near, bend, zeros, zeros, none, q_xyzw, *begun)
 
 
 def learn(
@@ -138,26 +138,28 @@ def learn(
     step = column(dt)
     turning = 0.5 * (gyro + last_gyro) * step
     age, older = state.age + dt, state.older + dt
-    turned, at_anchor = state.turned + known * step, turn(state.q_xyzw, turning)
+    at_anchor = turn(state.q_xyzw, turning)
     full, fuller = age >= LONG, (older >= LONGER) & any_of(good_attitude)[..., 0]
-    moved = gyro - last_gyro - known * step
-    square = smaller((moved - state.moved) ** 2, TIGHT * larger(state.lately, state.gyro.near))
+    change, bound = gyro - last_gyro - known * step - state.moved, sqrt(TIGHT * state.gyro.near)
+    square = smaller(change * change, TIGHT * larger(state.lately, state.gyro.near))
+    change = clip(change, -bound, bound) * heard
+    moved = state.moved + change
+    walked = state.walked + moved * heard
     lately = state.lately + smaller(step / LONG, 1.0) * heard * (square - state.lately)
     apart = rotation_between(turn(last_q, turning), q_xyzw) - state.attitude.drift * step
     both = good_gyro & good_attitude
-    far = gyro - state.rate - turned, column(age), full & (age < 2.0 * LONG)
+    far = walked, column(age), full & (age < 2.0 * LONG)
     angle, there = rotation_between(at_anchor, q_xyzw), 1.0 * any_of(good_attitude)[..., 0]
     total, count = state.apart + column(there) * angle, state.number + there
     mean = total / column(larger(count, 1.0))
     farther = mean + state.before, column(older), fuller & (older < 2.0 * LONGER)
     return Learning(
-        _learned(state.gyro, moved - state.moved, *far, good_gyro, 2, LOOSE, step),
+        _learned(state.gyro, change, *far, good_gyro, 2, LOOSE, step),
         _learned(state.attitude, apart, *farther, both, 1, TIGHT, step),
         lately,
         _bent(state.bend, moved, good_gyro, state.gyro.time, dt),
-        where(heard, moved, state.moved),
-        where(column(full), gyro, state.rate),
-        where(column(full), 0.0, turned),
+        moved,
+        where(column(full), 0.0, walked),
         where(full, 0.0, age),
         where(column(fuller), q_xyzw, at_anchor),
         where(fuller, 0.0, older),

@@ -131,16 +131,19 @@ def ask_position(state: Translation, bank: Bank, posterior: Posterior) -> tuple[
     lag = column(column(larger(free_flight.lag_of(flight), SHORTEST)))
     of_size = 1.0 - exp(-age / lag)
     of_slope = age - lag * of_size
-    b, C = posterior.b[..., EVERY, :], posterior.covariance[..., EVERY, :]
-    due = of_size * b[..., 0, :, :] + of_slope * b[..., 1, :, :]
-    spread = of_size**2 * C[..., 0, :, :] + 2.0 * of_size * of_slope * C[..., 1, :, :]
-    both = own + larger(spread + of_slope**2 * C[..., 2, :, :], 0.0)
-    fits = smaller((tilt - due) ** 2 / both, LOUD) + log(both / own)
     either, usual = own + ACCELEROMETER.size**2, smaller(tilt * tilt / own, LOUD)
     rival = 0.5 * (usual - tilt * tilt / either - log(either / own)) + RIVAL
-    said = where(counts, 0.5 * (usual - fits) - log(1.0 + exp(rival)), 0.0)
-    others = xp.zeros_like(posterior.log_weight[..., 3:, :])
-    weight = posterior.log_weight + xp.concatenate([said, others], axis=-2)
+    weights = [posterior.log_weight[..., 3 * kind : 3 * kind + 3, :] for kind in range(len(modes.KINDS))]
+    for kind in (modes.ATTITUDE, modes.CREEP):
+        of_kind = slice(3 * kind, 3 * kind + 3)
+        b, C = posterior.b[..., of_kind, :], posterior.covariance[..., of_kind, :]
+        due = of_size * b[..., 0, :, :] + of_slope * b[..., 1, :, :]
+        spread = of_size**2 * C[..., 0, :, :] + 2.0 * of_size * of_slope * C[..., 1, :, :]
+        both = own + larger(spread + of_slope**2 * C[..., 2, :, :], 0.0)
+        fits = smaller((tilt - due) ** 2 / both, LOUD) + log(both / own)
+        said = where(counts, 0.5 * (usual - fits) - log(1.0 + exp(rival)), 0.0)
+        weights[kind] = weights[kind] + said
+    weight = xp.concatenate(weights, axis=-2)
     return posterior._replace(log_weight=weight), counts[..., 0]
 
 

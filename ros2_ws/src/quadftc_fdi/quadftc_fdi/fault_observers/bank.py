@@ -232,7 +232,7 @@ class BankObserver(FlightLaw):
         bank = inference.open_slots(bank, state.worth, state.failed > 0.0, dt)
         expected = inference.of_gyro(bank, moved.rate, blind.rate + moved.bias)
         moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
-        vague = blind.covariance[..., motion.OMEGA, motion.OMEGA]
+        vague = motion.rate_known(state.blind, blind, dt)
         bank = inference.weigh(bank, OF_GYRO, by_gyro, expected, vague)
         angles = euler_from_quaternion(moved.q_xyzw)
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
