@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from quadftc_fdi.bank import inference, modes, motion
-from quadftc_fdi.bank.inference import FIRST, OF_ATTITUDE, OF_GYRO, SLOTS, SPACING
+from quadftc_fdi.bank import hypotheses, inference, modes, motion
+from quadftc_fdi.bank.hypotheses import FIRST, OF_ATTITUDE, OF_GYRO, SLOTS, SPACING
 from quadftc_fdi.bank.motion import BETA, OMEGA, THETA, D
 from quadftc_fdi.bank.noise import Noise
 from quadftc_model.rotations import earth_z_in_body, quaternion_from_euler, rotation_between, turn
@@ -86,13 +86,13 @@ def fly_bank(known, gyro, angle, repeats_gyro, *onsets):
     """Motion and bank after all readings, ``onsets`` taken at these rows."""
     e = np.eye(3)[AXIS]
     state = without_sensor_errors(motion.start_motion(LEVEL, np.zeros(3), NOISE))
-    bank = inference.start_bank(np.zeros(3))
+    bank = hypotheses.start_bank(np.zeros(3))
     bank = bank._replace(temper=np.ones_like(bank.temper))
     for row in range(ROWS):
         mean = gyro[row] * e
         given = known[row] * e, np.zeros(3), np.True_, mean, np.full(3, WALK), NOISE, repeats_gyro, DT
         state = motion.predict(state, *given)
-        bank = inference.move(bank, state.rate, repeats_gyro, DT)
+        bank = hypotheses.move(bank, state.rate, repeats_gyro, DT)
         bank = one_onset(bank, row in onsets)
         state, bank = measure(state, bank, mean, turn(LEVEL, angle[row] * e), BLIND[row] * e)
     return state, bank
@@ -105,17 +105,17 @@ def believed_of(bank, good_attitude=THERE, failing=NONE):
 def one_onset(bank, now):
     """Let all hypotheses grow older; begin an onset in each ring, or in none."""
     bank = bank._replace(since=np.array(SPACING) if now else np.full(len(SLOTS), -1.0))
-    return inference.open_slots(bank, ALIKE, NONE, DT)
+    return hypotheses.open_slots(bank, ALIKE, NONE, DT)
 
 
 def measure(state, bank, gyro, q_xyzw, blind=LEVEL[:3]):
     """Take a reading of the gyro and one of the attitude, near level: faults turn about body axes."""
-    S = inference.of_gyro(bank, state.rate, blind)
+    S = hypotheses.of_gyro(bank, state.rate, blind)
     state, seen = motion.take_gyro(state, gyro, NOISE.gyro, THERE)
-    bank = inference.weigh(bank, OF_GYRO, seen, S)
-    S = inference.of_attitude(bank, state.rate, modes.pattern(modes.ATTITUDE))
+    bank = hypotheses.weigh(bank, OF_GYRO, seen, S)
+    S = hypotheses.of_attitude(bank, state.rate, modes.pattern(modes.ATTITUDE))
     state, seen = motion.take_attitude(state, q_xyzw, NOISE.attitude, THERE)
-    return state, inference.weigh(bank, OF_ATTITUDE, seen, S)
+    return state, hypotheses.weigh(bank, OF_ATTITUDE, seen, S)
 
 
 @pytest.mark.parametrize("repeats_gyro", [False, True])
@@ -142,7 +142,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
             each.measure(by_gyro, gyro[row], NOISE.gyro[0], modes.GYRO, BLIND[row])
             each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
     assert not state.loud.any()  # no reading was taken for a loud one
-    evidence = believed.log_weight[mode, SLOT] - inference.USUAL[mode, SLOT]
+    evidence = believed.log_weight[mode, SLOT] - hypotheses.USUAL[mode, SLOT]
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
     assert evidence > 3.0 or repeats_gyro  # it was seen; an attitude that repeats a gyro's fault hides it
     b, U = believed.b[:, mode, SLOT], bank.U[:4, AXIS, :, mode, SLOT]
@@ -187,7 +187,7 @@ def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(
             each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
     assert not state.loud.any()
     # four slots hold that fault, alike; the end comes at the rate of events
-    began = inference.USUAL[3 * ended + AXIS, [FIRST[ring] for ring in range(len(SLOTS))]].mean()
+    began = hypotheses.USUAL[3 * ended + AXIS, [FIRST[ring] for ring in range(len(SLOTS))]].mean()
     evidence = believed.log_weight[mode, slot] - began - np.log(modes.EVENTS / 3600.0 * SPACING[0])
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
     assert evidence > believed.log_weight[3 * ended + AXIS].max()
@@ -204,10 +204,10 @@ def test_what_a_fault_has_taught_since_its_onset_does_not_excuse_it():
     S = np.ones((3, 2, modes.EFFECTS, sum(SLOTS)))
     told = []
     for before, since in flown:
-        bank = one_onset(inference.start_bank(np.zeros(3)), now=False)
+        bank = one_onset(hypotheses.start_bank(np.zeros(3)), now=False)
         bank = one_onset(bank._replace(temper=np.full_like(bank.temper, before)), now=True)
         bank = bank._replace(temper=np.full_like(bank.temper, since))
-        told.append(inference.weigh(bank, OF_ATTITUDE, seen, S))
+        told.append(hypotheses.weigh(bank, OF_ATTITUDE, seen, S))
     np.testing.assert_array_equal(*(each.J[OF_ATTITUDE][..., SLOT] for each in told))
     assert told[0].J[OF_ATTITUDE][..., SLOT].all()
 
@@ -219,7 +219,7 @@ def test_a_hypothesis_knows_how_axes_are_coupled_in_a_turn(kind, repeats_gyro):
     size, turning = 1e-5, np.array([0.8, -0.5, 0.3])
     by_attitude, by_gyro = (np.eye(3)[1] * size * (kind == each) for each in (modes.ATTITUDE, modes.GYRO))
     healthy = faulty = motion.start_motion(LEVEL, turning, NOISE)
-    bank, q_xyzw = inference.start_bank(np.zeros(3)), LEVEL
+    bank, q_xyzw = hypotheses.start_bank(np.zeros(3)), LEVEL
     for row in range(40):
         q_xyzw = turn(q_xyzw, turning * DT)
         given = np.zeros(3), np.zeros(3), np.True_, turning, np.full(3, WALK), NOISE, repeats_gyro, DT
@@ -227,7 +227,7 @@ def test_a_hypothesis_knows_how_axes_are_coupled_in_a_turn(kind, repeats_gyro):
         faulty, _ = motion.take_gyro(faulty, turning + by_gyro, NOISE.gyro, THERE)
         faulty, _ = motion.take_attitude(faulty, turn(q_xyzw, by_attitude), NOISE.attitude, THERE)
         healthy = motion.predict(healthy, *given)
-        bank = one_onset(inference.move(bank, healthy.rate, repeats_gyro, DT), row == 0)
+        bank = one_onset(hypotheses.move(bank, healthy.rate, repeats_gyro, DT), row == 0)
         healthy, bank = measure(healthy, bank, turning, q_xyzw)
     moved = [
         rotation_between(faulty.q_xyzw, healthy.q_xyzw),
@@ -245,9 +245,9 @@ def test_a_hypothesis_knows_which_turns_gravity_shows(axis):
     state = motion.start_motion(q_xyzw, np.zeros(3), NOISE)
     force = STANDARD_GRAVITY * earth_z_in_body(turn(q_xyzw, size * np.eye(3)[axis]))
     innovation = motion.take_tilt(state, force, np.ones(3), THERE)[1].innovation
-    bank = inference.start_bank(np.zeros(3))
+    bank = hypotheses.start_bank(np.zeros(3))
     bank.U[THETA, axis, 0] = 1.0
-    shown = inference.of_tilt(bank, earth_z_in_body(q_xyzw), modes.pattern(modes.FELT))[:2, 0, 0, 0]
+    shown = hypotheses.of_tilt(bank, earth_z_in_body(q_xyzw), modes.pattern(modes.FELT))[:2, 0, 0, 0]
     assert shown == pytest.approx(innovation[:2] / size, abs=1e-5)
 
 
@@ -270,8 +270,8 @@ def test_a_torque_may_have_changed_at_any_time_between_two_samples():
 
 
 def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
-    bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    believed = believed_of(inference.open_slots(bank, ALIKE, NONE, 0.0))
+    bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
+    believed = believed_of(hypotheses.open_slots(bank, ALIKE, NONE, 0.0))
     for row, kind in enumerate(modes.KINDS):
         if row in RETURNS:
             continue
@@ -283,17 +283,17 @@ def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
                 p = kind.rate / 3600.0 * spacing  # that it began in the time that the slot stands for
                 assert believed.log_weight[mode, slot] == pytest.approx(np.log(p))
                 assert believed.covariance[:, mode, slot] == pytest.approx([kind.size**2, 0.0, kind.slope**2])
-    began = believed.log_weight > inference.LOWEST
+    began = believed.log_weight > hypotheses.LOWEST
     assert began.sum() == (modes.MODES - 6) * len(SPACING)  # there is nothing from which to return
 
 
 def ages(worth, seconds=6.0, dt=0.004):
     """Ages of the onsets of each ring in the end; ``worth`` is that of slots by when they began [s]."""
-    bank, now = inference.start_bank(np.zeros(3)), 0.0
+    bank, now = hypotheses.start_bank(np.zeros(3)), 0.0
     for _ in range(round(seconds / dt)):
         age = bank.age[0]
-        likely = np.where(age >= 0.0, worth(now - age), inference.LOWEST)
-        bank = inference.open_slots(bank, ALIKE + likely, NONE, dt)
+        likely = np.where(age >= 0.0, worth(now - age), hypotheses.LOWEST)
+        bank = hypotheses.open_slots(bank, ALIKE + likely, NONE, dt)
         now += dt
     return [np.sort(bank.age[0, FIRST[k] : FIRST[k + 1]]) for k in range(len(SLOTS))]
 
@@ -314,14 +314,14 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
 
 
 def test_a_wrong_scale_is_held_possible_by_both_witnesses():
-    bank = one_onset(inference.start_bank(np.zeros(3)), now=True)
+    bank = one_onset(hypotheses.start_bank(np.zeros(3)), now=True)
     scaled, step = modes.KIND == modes.SCALED, modes.KIND == modes.GYRO
     for good, driven, held in (
         (THERE, np.True_, True),
         (NONE, np.True_, False),
         (THERE, np.False_, False),
     ):
-        began = inference.believe(bank, good, THERE, driven, NONE, RARER).log_weight > inference.LOWEST
+        began = inference.believe(bank, good, THERE, driven, NONE, RARER).log_weight > hypotheses.LOWEST
         assert began[scaled].any(axis=-1).tolist() == [held] * 3
         assert began[step].any(axis=-1).all()
 
@@ -364,30 +364,30 @@ def test_what_a_faulty_gyro_has_taught_of_its_scale_is_forgotten():
 
 def test_a_scale_of_a_rate_that_is_vague_is_told_as_vaguely():
     """A dead gyro misses the rate by as much as that itself is unknown; other faults do not."""
-    bank = one_onset(inference.start_bank(np.zeros(3)), now=True)
+    bank = one_onset(hypotheses.start_bank(np.zeros(3)), now=True)
     seen = motion.Gains(np.ones(3), np.ones(3), np.zeros((3, motion.STATES)), THERE)
     S = np.ones((3, 2, modes.EFFECTS, sum(SLOTS)))
-    sharp, vague = (inference.weigh(bank, OF_GYRO, seen, S, v) for v in (np.zeros(3), np.full(3, 3.0)))
+    sharp, vague = (hypotheses.weigh(bank, OF_GYRO, seen, S, v) for v in (np.zeros(3), np.full(3, 3.0)))
     scaled = (modes.KIND[: modes.EFFECTS] == modes.SCALED)[:, None]
     for before, after in ((sharp.J, vague.J), (sharp.d, vague.d)):
         np.testing.assert_allclose(after, np.where(scaled, 0.25, 1.0) * before)
 
 
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
-    bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    bank = inference.open_slots(bank, ALIKE, NONE, 0.0)
+    bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
+    bank = hypotheses.open_slots(bank, ALIKE, NONE, 0.0)
     axes = np.array([False, True, False])
-    gone, but_gyros = (inference.forget(bank, axes, settled, NONE).age < 0.0 for settled in (axes, NONE))
+    gone, but_gyros = (hypotheses.forget(bank, axes, settled, NONE).age < 0.0 for settled in (axes, NONE))
     own, of_gyro = modes.AXIS[: modes.EFFECTS] == 1, modes.NAME[: modes.EFFECTS] == modes.GYRO
     assert np.array_equal(gone, own[:, None] | (bank.age < 0.0))
     assert np.array_equal(but_gyros, (own & ~of_gyro)[:, None] | (bank.age < 0.0))
 
 
 def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
-    bank = inference.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    bank = inference.open_slots(bank, ALIKE, NONE, 0.0)
+    bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
+    bank = hypotheses.open_slots(bank, ALIKE, NONE, 0.0)
     attitude, gyro = np.array([True, False, False]), np.array([False, True, False])
-    gone = (inference.disregard(bank, attitude, gyro).age < 0.0) & (bank.age >= 0.0)
+    gone = (hypotheses.disregard(bank, attitude, gyro).age < 0.0) & (bank.age >= 0.0)
     named, axis = modes.NAME[: modes.EFFECTS], modes.AXIS[: modes.EFFECTS]
     expected = ((named == modes.ATTITUDE) & (axis == 0)) | ((named == modes.GYRO) & (axis == 1))
     assert np.array_equal(gone.any(axis=-1), expected)
@@ -396,9 +396,9 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
 @pytest.mark.parametrize("settled", [True, False])
 def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other(settled):
     """If that says nothing of the gyro, what this has shown still counts."""
-    bank = inference.start_bank(np.zeros(3))
+    bank = hypotheses.start_bank(np.zeros(3))
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0, square=bank.square + 1.0, count=bank.count + 1.0)
-    after = inference.forget(bank, np.array([True, False, False]), THERE & settled, NONE)
+    after = hypotheses.forget(bank, np.array([True, False, False]), THERE & settled, NONE)
     left = np.array([[not settled, True, True], [False, True, True]])  # by gyro and attitude
     for part in (after.J, after.d):
         np.testing.assert_array_equal(part, np.broadcast_to(left[:, None, :, None, None], part.shape))
@@ -407,9 +407,9 @@ def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other(settled):
 
 
 def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_does():
-    bank = inference.start_bank(np.zeros(3))
+    bank = hypotheses.start_bank(np.zeros(3))
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0)
-    after = inference.forget(bank, NONE, NONE, np.array([True, False, False]))
+    after = hypotheses.forget(bank, NONE, NONE, np.array([True, False, False]))
     again = (modes.NAME == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
     for part in (after.J, after.d):
         np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))
@@ -417,33 +417,33 @@ def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_d
 
 @pytest.mark.parametrize("sensor", range(3))
 def test_the_other_axes_of_a_failing_sensor_are_likelier_to_fail(sensor):
-    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
     well, ill = (believed_of(bank, failing=np.arange(3) == failing) for failing in (3, sensor))
     more = ill.log_weight - well.log_weight
     own = (modes.GYRO, modes.ATTITUDE, modes.FELT)[sensor] == modes.NAME
-    began = well.log_weight > inference.LOWEST
+    began = well.log_weight > hypotheses.LOWEST
     assert np.array_equal(began.any(axis=-1), ~np.isin(modes.KIND, RETURNS))
     assert np.allclose(more[own[:, None] & began], np.log(modes.EVENTS / modes.FAULTS))
     assert not more[~own[:, None] & began].any()
 
 
 def test_a_gyro_whose_attitude_is_not_good_is_less_likely_to_be_blamed():
-    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
     alone = believed_of(bank, good_attitude=np.array([False, True, True])).log_weight
     less = alone - believed_of(bank).log_weight
-    began = alone > inference.LOWEST
+    began = alone > hypotheses.LOWEST
     own = (modes.NAME == modes.GYRO) & (modes.AXIS == 0)
     assert np.allclose(less[own[:, None] & began], RARER)
     assert not less[~own[:, None] & began].any()
 
 
 def test_no_attitude_is_early():
-    bank = inference.open_slots(inference.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
     J = np.where(np.arange(3)[:, None, None, None] == 0, 50.0, 0.0) * np.ones_like(bank.J)
     d = 0.1 * J[:, :2]
     late, early = (believed_of(bank._replace(J=J, d=sign * d)) for sign in (1.0, -1.0))
     worth = late.log_weight - early.log_weight
-    began = late.log_weight > inference.LOWEST
+    began = late.log_weight > hypotheses.LOWEST
     by_delay = (modes.EFFECT // 3 == modes.LATE)[:, None]
     z = late.b[0] ** 2 / late.covariance[0]
     assert np.allclose(worth[by_delay & began], 0.5 * z[by_delay & began])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadftc_fdi.bank import inference, modes, translation
+from quadftc_fdi.bank import hypotheses, inference, modes, translation
 from quadftc_fdi.bank.motion import LOUD
 from quadftc_fdi.isolation import free_flight
 from quadftc_fdi.isolation.accelerometer_monitor import start_accelerometer
@@ -15,7 +15,7 @@ SLOPE, AGE = 0.01, 10.0  # rad/s, s; of the fault of roll
 DUE = SLOPE * (AGE - 1.0)  # rad; one second late, as the filter of b is here
 OF_ROLL = [3 * modes.ATTITUDE, 3 * modes.CREEP]  # modes that creep
 OTHERS = np.delete(np.arange(modes.MODES), OF_ROLL)
-SHAPE = (modes.MODES, len(inference.RING))
+SHAPE = (modes.MODES, len(hypotheses.RING))
 
 
 def said_of(tilt, learned=10.0, believed=0.0):
@@ -39,7 +39,7 @@ def said_of(tilt, learned=10.0, believed=0.0):
 
 
 def asked(state):
-    bank = inference.start_bank(np.zeros(3))
+    bank = hypotheses.start_bank(np.zeros(3))
     bank = bank._replace(age=bank.age * 0.0 + AGE)
     b = np.zeros((2, *SHAPE))
     b[1, OF_ROLL] = SLOPE

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.bank import modes
-from quadftc_fdi.bank.inference import Bank, Posterior
+from quadftc_fdi.bank.hypotheses import Bank
+from quadftc_fdi.bank.inference import Posterior
 from quadftc_fdi.bank.motion import LOUD
 from quadftc_fdi.bank.noise import MEMORY
 from quadftc_fdi.bank.trust import Trust

@@ -15,9 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank import inference, modes
-from quadftc_fdi.bank.inference import Bank, Posterior
-from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, STATES, THETA, Motion, moved_by
+from quadftc_fdi.bank import hypotheses, inference, modes
+from quadftc_fdi.bank.hypotheses import Bank
+from quadftc_fdi.bank.inference import Posterior
+from quadftc_fdi.bank.motion import (
+    BETA,
+    CORRELATED,
+    LAG,
+    OMEGA,
+    STATES,
+    THETA,
+    D,
+    Motion,
+    moved_by,
+    unsettled,
+)
 from quadftc_fdi.bank.noise import SMALL, TIGHT
 from quadftc_fdi.bank.readings import BACK
 from quadftc_model.arrays import (
@@ -26,6 +38,7 @@ from quadftc_model.arrays import (
     Mask,
     Scalar,
     Vector,
+    any_of,
     column,
     exp,
     larger,
@@ -34,7 +47,8 @@ from quadftc_model.arrays import (
     stacked,
     where,
 )
-from quadftc_model.rotations import euler_from_quaternion
+from quadftc_model.rotations import euler_from_quaternion, wrap
+from quadftc_model.samples import ImuSample
 
 FAULTY_WALK = 3.0  # rad/s/√s; chosen: walk of the bias of a gyro that is not believed
 AGREES = CORRELATED  # s; longer than a gust lasts: for which what seems right must agree with the motion
@@ -84,7 +98,7 @@ def take_over(
     where there is no attitude; ``driven``: the torque is known.
     """
     xp = namespace(posterior.log_weight)
-    own = where(mode[..., None], posterior.log_weight, 2.0 * inference.LOWEST)
+    own = where(mode[..., None], posterior.log_weight, 2.0 * hypotheses.LOWEST)
     pick = mode[..., None] & (own == own.max(axis=(-1, -2), keepdims=True))
 
     def of(part: Array) -> Array:
@@ -101,7 +115,7 @@ def take_over(
     )
     lags = np.equal(states, LAG) * modes.pattern(modes.LATE)
     moves = of_gyro + column(column(column(usual))) * (jumps + lags)
-    changed = bank.U + moves[..., None, :, None] * inference.shape_of(bank)[..., None, None, :, :, :]
+    changed = bank.U + moves[..., None, :, None] * hypotheses.shape_of(bank)[..., None, None, :, :, :]
     picked = (changed * effect[..., None, None, None, :, :]).sum(axis=(-1, -2))
     U = xp.moveaxis(picked, -3, -1)  # (..., 3, 2, 9)
     b = xp.stack([of(posterior.b[..., k, :, :]) for k in range(2)], axis=-1)
@@ -114,7 +128,7 @@ def take_over(
     # a jump or lag of the attitude says nothing of a gyro that the torque may yet find
     slight = ((modes.KIND == modes.JUMP) | (modes.KIND == modes.LAG)) & column(driven)
     settled = axes & ~column((mode & slight).any(axis=-1))
-    bank = inference.forget(bank, axes, settled, alone)
+    bank = hypotheses.forget(bank, axes, settled, alone)
     return moved_by(motion, change)._replace(covariance=P), bank, age
 
 
@@ -198,3 +212,28 @@ def _fitted(
 def _kept(faulty: Mask, sums: Array, *parts: Vector) -> Trust:
     age, size, other, evidence, calm = (where(faulty, part, 0.0) for part in parts)
     return Trust(faulty, age, size, other, evidence, calm, where(column(faulty), sums, 0.0))
+
+
+def any_faulty(*sensors: Trust) -> Mask:
+    """Return of which sensors any axis is faulty (..., sensors)."""
+    return stacked([any_of(each.faulty)[..., 0] for each in sensors])
+
+
+def off_square(before: Vector, imu: ImuSample, believed: Motion, good: Mask) -> Vector:
+    """Return the square of how far an attitude is off [rad²]: before a fault is believed, or after, if more.
+
+    After counts where the attitude is ``good`` (..., 3).
+    """
+    after = wrap(euler_from_quaternion(imu.q_xyzw) - euler_from_quaternion(believed.q_xyzw))
+    return larger(before * before, where(good, after * after, 0.0))
+
+
+def doubted(believed: Motion, angle: Vector, gyro: Mask, named: Mask) -> Motion:
+    """Doubt what a gyro that is named now has taught; ``angle`` is the least variance of the angles [rad²].
+
+    A step or drift has told what the rate is; one that oscillates or lags has not.
+    """
+    believed = unsettled(believed, THETA, angle)
+    wild = named[..., inference.WILDS] * modes.GYRO_SIZE**2
+    believed = unsettled(believed, OMEGA, wild)
+    return unsettled(believed, D, where(gyro, believed.unknown**2, 0.0))

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from quadftc_fdi.bank import decide, inference, modes, motion, noise, readings, translation, trust
+from quadftc_fdi.bank import decide, hypotheses, inference, modes, motion, noise, readings, translation, trust
 from quadftc_fdi.bank.decide import Seen
-from quadftc_fdi.bank.inference import OF_ATTITUDE, OF_GYRO, Bank, Posterior
+from quadftc_fdi.bank.hypotheses import OF_ATTITUDE, OF_GYRO, Bank
+from quadftc_fdi.bank.inference import Posterior
 from quadftc_fdi.bank.motion import Gains, Motion
 from quadftc_fdi.bank.noise import Learning, Noise
 from quadftc_fdi.bank.readings import Readings
@@ -97,7 +98,7 @@ class BankObserver(FlightLaw):
         imu = inputs.imu
         learning = noise.start_learning(imu.q_xyzw, imu.body_rate)
         started = motion.start_motion(imu.q_xyzw, imu.body_rate, noise.noise_of(learning))
-        bank, full = inference.start_bank(imu.body_rate), trust.full_trust(imu.body_rate)
+        bank, full = hypotheses.start_bank(imu.body_rate), trust.full_trust(imu.body_rate)
         angles_read = readings.start_readings(euler_from_quaternion(imu.q_xyzw))
         rates_read = readings.start_readings(imu.body_rate)
         return State(
@@ -110,7 +111,7 @@ class BankObserver(FlightLaw):
             force=full,
             angles_read=angles_read,
             rates_read=rates_read,
-            worth=bank.age[..., modes.EFFECT, :] + inference.LOWEST,
+            worth=bank.age[..., modes.EFFECT, :] + hypotheses.LOWEST,
             rate=imu.body_rate,
             q_xyzw=imu.q_xyzw,
             lead=namespace(imu.body_rate).zeros_like(imu.body_rate),
@@ -149,7 +150,7 @@ class BankObserver(FlightLaw):
         good = good_gyro, good_attitude
         seen = self._measure(state, imu, moved, without, levels, good, inputs.driven, dt)
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
-        bank, off = inference.disregard(seen.bank, *stuck), seen.off
+        bank, off = hypotheses.disregard(seen.bank, *stuck), seen.off
         posterior, shares, p, named = self._infer(state, bank, beside, speaks, seen.tilt, inputs.driven)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
@@ -168,8 +169,8 @@ class BankObserver(FlightLaw):
         # one witness of each axis stays: who names the last takes the other name back
         cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
         before = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
-        angle = where(cleared[0] | gyro, _off(off, imu, believed, good_attitude), 0.0)
-        believed = _doubted(believed, angle, gyro, named)
+        angle = where(cleared[0] | gyro, trust.off_square(off, imu, believed, good_attitude), 0.0)
+        believed = trust.doubted(believed, angle, gyro, named)
         spread, white, there = seen.by_attitude.variance, levels.attitude, imu.attitude_valid
         attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, believed, dt)
         beside = translation.follow_fault(beside, off, attitude, before[0].faulty, stuck[0], dt)
@@ -184,6 +185,7 @@ class BankObserver(FlightLaw):
         learning = noise.learn(
             state.learning, read, state.rate, known, imu.q_xyzw, state.q_xyzw, *well, good_gyro, dt
         )
+        failing = trust.any_faulty(gyro, attitude, force)
         after = State(
             motion=believed,
             blind=blind,
@@ -200,7 +202,7 @@ class BankObserver(FlightLaw):
             lead=seen.lead,
             torque=torque,
             translation=beside,
-            failed=where(_faulty(gyro, attitude, force), trust.AGREES, larger(state.failed - dt, 0.0)),
+            failed=where(failing, trust.AGREES, larger(state.failed - dt, 0.0)),
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
         shift = inference.expected_change(bank, posterior, shares * ~is_sure[..., None, None])
@@ -228,30 +230,30 @@ class BankObserver(FlightLaw):
         ``blind`` is the motion without the gyro.
         """
         good_gyro, good_attitude = good
-        bank = inference.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
-        bank = inference.open_slots(bank, state.worth, state.failed > 0.0, dt)
-        expected = inference.of_gyro(bank, moved.rate, blind.rate + moved.bias)
+        bank = hypotheses.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
+        bank = hypotheses.open_slots(bank, state.worth, state.failed > 0.0, dt)
+        expected = hypotheses.of_gyro(bank, moved.rate, blind.rate + moved.bias)
         moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
         vague = motion.rate_known(state.blind, blind, dt)
-        bank = inference.weigh(bank, OF_GYRO, by_gyro, expected, vague)
+        bank = hypotheses.weigh(bank, OF_GYRO, by_gyro, expected, vague)
         angles = euler_from_quaternion(moved.q_xyzw)
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
         lead = modes.ahead(state.lead, wrap(angles - euler_from_quaternion(state.motion.q_xyzw)), dt)
         changed = modes.pattern(modes.ATTITUDE) + column(modes.late_by(lead)) * modes.pattern(modes.LATE)
         added = _turning(angles) @ changed
-        expected = inference.of_attitude(bank, moved.rate, added)
+        expected = hypotheses.of_attitude(bank, moved.rate, added)
         # an angle that is not used must not turn the others
         kept = quaternion_from_euler(angles + where(good_attitude, off, 0.0))
         taken = where(any_of(~good_attitude), kept, imu.q_xyzw)
         moved, by_attitude = motion.take_attitude(moved, taken, levels.attitude, good_attitude)
-        bank = inference.weigh(bank, OF_ATTITUDE, by_attitude, expected)
+        bank = hypotheses.weigh(bank, OF_ATTITUDE, by_attitude, expected)
         beside, tilt = state.translation, None
         if beside.flight is None and self.feels_gravity:
             feels = imu.force_valid & driven & ~any_of(beside.accelerometer.faulty)[..., 0]
             feels, white = column(feels) & ~state.force.faulty, translation.noise_of_force(beside)
-            expected = inference.of_tilt(bank, earth_z_in_body(moved.q_xyzw), modes.pattern(modes.FELT))
+            expected = hypotheses.of_tilt(bank, earth_z_in_body(moved.q_xyzw), modes.pattern(modes.FELT))
             moved, tilt = motion.take_tilt(moved, imu.specific_force, white, feels)
-            bank = inference.weigh(bank, OF_ATTITUDE, tilt, expected)
+            bank = hypotheses.weigh(bank, OF_ATTITUDE, tilt, expected)
         return Measured(bank, moved, by_attitude, off, added, lead, tilt)
 
     def _watch_force(
@@ -383,27 +385,6 @@ class BankObserver(FlightLaw):
             SensorDiagnosis(by_attitude, by_gyro, by_accelerometer),
             rotors,
         )
-
-
-def _faulty(*sensors: Trust) -> Mask:
-    return stacked([any_of(each.faulty)[..., 0] for each in sensors])
-
-
-def _off(before: Vector, imu: ImuSample, believed: Motion, good: Mask) -> Vector:
-    """Square of how far an attitude is off [rad²], before a fault is believed and, if it is good, after."""
-    after = wrap(euler_from_quaternion(imu.q_xyzw) - euler_from_quaternion(believed.q_xyzw))
-    return larger(before * before, where(good, after * after, 0.0))
-
-
-def _doubted(believed: Motion, angle: Vector, gyro: Mask, named: Mask) -> Motion:
-    """Doubt what a gyro that is named now has taught; ``angle`` is the least variance of the angles [rad²].
-
-    A step or drift has told what the rate is; one that oscillates or lags has not.
-    """
-    believed = motion.unsettled(believed, motion.THETA, angle)
-    wild = named[..., inference.WILDS] * modes.GYRO_SIZE**2
-    believed = motion.unsettled(believed, motion.OMEGA, wild)
-    return motion.unsettled(believed, motion.D, where(gyro, believed.unknown**2, 0.0))
 
 
 def _turning(angles: Vector) -> Array:
