@@ -44,7 +44,6 @@ from quadftc_model.arrays import (
     largest,
     namespace,
     norm,
-    smaller,
     stacked,
     where,
 )
@@ -165,7 +164,7 @@ def rate_known(before: Motion, now: Motion, dt: Scalar) -> Vector:
     (1 + rho) / (1 - rho) times their own.
     """
     P, last = now.covariance[..., OMEGA, OMEGA], before.covariance[..., OMEGA, :]
-    alike = smaller(last[..., OMEGA] + column(dt) * last[..., D], COLOURED * P)
+    alike = clip(last[..., OMEGA] + column(dt) * last[..., D], 0.0, COLOURED * P)
     return P * (P + alike) / (P - alike)
 
 
