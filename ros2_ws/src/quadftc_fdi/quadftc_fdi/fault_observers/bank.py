@@ -88,7 +88,7 @@ class Measured(NamedTuple):
 class BankObserver(FlightLaw):
     """Bank of fault modes: joint over sensors, axes and onsets."""
 
-    level: float = parameter(0.99, low=0.5, high=1.0, doc="probability from which a fault is named")
+    level: float = parameter(0.997, low=0.5, high=1.0, doc="probability from which a fault is named")
     rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
     feels_gravity: bool = parameter(True, doc="the accelerometer, without a position: on a test stand")
