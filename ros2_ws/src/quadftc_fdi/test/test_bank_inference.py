@@ -334,7 +334,7 @@ def test_a_rate_whose_errors_are_alike_is_known_as_a_white_one_that_averages_ali
     cov[:, motion.OMEGA, motion.OMEGA], cov[:, motion.OMEGA, motion.D] = 0.8 * rho * P, 0.2 * rho * P / dt
     now = state.covariance.copy()
     now[:, motion.OMEGA, motion.OMEGA] = P
-    known = motion.rate_known(state._replace(covariance=cov), state._replace(covariance=now), dt)
+    known = motion.rate_vagueness(state._replace(covariance=cov), state._replace(covariance=now), dt)
     apart = abs(np.subtract.outer(np.arange(many), np.arange(many)))
     of_mean = P * (rho**apart).mean()  # of that many errors, each like the one before by rho
     assert known / many == pytest.approx(of_mean, rel=0.02)
@@ -342,7 +342,7 @@ def test_a_rate_whose_errors_are_alike_is_known_as_a_white_one_that_averages_ali
 
 def test_a_rate_that_nothing_corrects_is_hardly_known_but_known():
     state = motion.start_motion(LEVEL, np.zeros(3), NOISE)
-    known = motion.rate_known(state, state, 0.004)
+    known = motion.rate_vagueness(state, state, 0.004)
     assert np.all(known > 50.0 * state.covariance[:, motion.OMEGA, motion.OMEGA])
     assert np.all(np.isfinite(known))
 

@@ -217,7 +217,7 @@ def of_gyro(state: Bank, rate: Vector, due: Vector) -> Array:
 def weigh(state: Bank, channel: int, seen: Gains, S: Array, vague: Vector | None = None) -> Bank:
     """Take a measurement of a channel: its innovations, and what the hypotheses expect of them.
 
-    A wrong scale adds what is as vague as the rate: ``vague`` (..., 3) [rad²/s²], by `motion.rate_known`.
+    A wrong scale adds what is as vague as the rate: ``vague`` (..., 3) [rad²/s²], by `motion.rate_vagueness`.
     """
     xp = namespace(S)
     weight = column(where(seen.used, 1.0 / seen.variance, 0.0)) / state.doubt[..., channel, :, :]

@@ -1,4 +1,4 @@
-r"""What the hypotheses are worth, and by how much each mode is off.
+"""What the hypotheses are worth, and by how much each mode is off.
 
 With b ~ N(0, P0) the evidence for a mode, against none, is marginal in size and slope (Gustafsson 1996):
 

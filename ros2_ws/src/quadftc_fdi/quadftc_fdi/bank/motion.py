@@ -157,7 +157,7 @@ def _moved(P: Array, repeats_gyro: bool, dt: Scalar) -> Array:
     return namespace(P).stack(rows, axis=-2)
 
 
-def rate_known(before: Motion, now: Motion, dt: Scalar) -> Vector:
+def rate_vagueness(before: Motion, now: Motion, dt: Scalar) -> Vector:
     """Return how vague the rate is that was predicted from ``before`` over ``dt`` [s]: a variance [rad²/s²].
 
     It is that of white errors which average alike: of errors that correlate by rho from sample to sample,

@@ -234,7 +234,7 @@ class BankObserver(FlightLaw):
         bank = hypotheses.open_slots(bank, state.worth, state.failed > 0.0, dt)
         expected = hypotheses.of_gyro(bank, moved.rate, blind.rate + moved.bias)
         moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
-        vague = motion.rate_known(state.blind, blind, dt)
+        vague = motion.rate_vagueness(state.blind, blind, dt)
         bank = hypotheses.weigh(bank, OF_GYRO, by_gyro, expected, vague)
         angles = euler_from_quaternion(moved.q_xyzw)
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
