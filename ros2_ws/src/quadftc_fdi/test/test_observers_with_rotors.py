@@ -138,10 +138,11 @@ def test_healthy_flight_names_nothing_and_without_rotors_nothing_is_said_of_them
     assert diagnose([each._replace(rotors=None) for each in flight(10)])[-1].rotors is None
 
 
-def test_without_a_gyro_the_bank_takes_no_weak_rotor_for_a_faulty_accelerometer():
+@pytest.mark.parametrize("observer", [Isolating, BankObserver])
+def test_weak_rotor_is_named_without_a_gyro(observer):
     blind = {"rate_valid": np.bool_(False), "body_rate": np.zeros(3)}
     inputs = flight(BEGIN + 260, one_rotor(2, 0.4), lambda t, sample: sample._replace(**blind))
-    assert verdicts(diagnose(inputs, BankObserver)) == ["gyro 0", "gyro 1", "gyro 2"]
+    assert verdicts(diagnose(inputs, observer)) == ["gyro 0", "gyro 1", "gyro 2", "rotor 2"]
 
 
 @pytest.mark.thorough  # one by one: test_fault_observer_contract.py and test_c_equals_numpy.py

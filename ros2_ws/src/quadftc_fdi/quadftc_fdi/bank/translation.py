@@ -91,22 +91,22 @@ def judge_rotors(
     effects: Effects,
     inputs: FaultObserverInputs,
     rate: Vector,
+    vague: Vector,
     known: Vector,
-    faulty: Mask,
     dt: Scalar,
 ) -> tuple[Translation, FaultObserverInputs, Vector]:
     """Judge the rotors; return the torque and thrust that they give, and what they may give besides.
 
-    ``rate`` is the gyro's [rad/s], ``faulty`` where it is not believed; ``known`` the acceleration by all but
-    the rotors [rad/s²]. What they may give is a variance of the acceleration [rad²/s⁴].
+    ``rate`` is the gyro's [rad/s], or another one of a variance ``vague`` [rad²/s²]; ``known`` the
+    acceleration by all but the rotors [rad/s²]. What they may give is a variance of it [rad²/s⁴].
     """
     xp = namespace(rate)
     none = xp.zeros_like(rate)
     if state.rotors is None or inputs.rotors is None:
         return state, inputs, none
-    suspects = xp.concatenate([faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
+    deaf = state.accelerometer.faulty[..., 2]
     rotors, acts = rotor_watch.step_watch(
-        state.rotors, vehicle, effects, inputs, inputs.rotors, rate, known, suspects, dt
+        state.rotors, vehicle, effects, inputs, inputs.rotors, rate, vague, known, deaf, dt
     )
     # without a gyro nothing tells a rotor from the accelerometer
     unsure = where(inputs.imu.rate_valid, acts.pushing, STANDARD_GRAVITY**2)

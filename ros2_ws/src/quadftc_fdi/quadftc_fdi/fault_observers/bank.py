@@ -280,10 +280,11 @@ class BankObserver(FlightLaw):
         """Judge the rotors; return the torque and thrust that they give, and what they may give besides."""
         moving, vehicle = state.motion, self.vehicle
         turns = self._turns(moving.rate)
-        rate = where(faulty, moving.rate, inputs.imu.body_rate - moving.bias)
         faulty = faulty | state.gyro.faulty
+        rate = where(faulty, moving.rate, inputs.imu.body_rate - moving.bias)
+        vague = where(faulty, moving.covariance[..., motion.OMEGA, motion.OMEGA], 0.0)
         beside = state.translation
-        return translation.judge_rotors(beside, vehicle, self.rotor_effects, inputs, rate, turns, faulty, dt)
+        return translation.judge_rotors(beside, vehicle, self.rotor_effects, inputs, rate, vague, turns, dt)
 
     def _turns(self, rate: Vector) -> Vector:
         """Angular acceleration [rad/s²] by rotation and drag alone."""

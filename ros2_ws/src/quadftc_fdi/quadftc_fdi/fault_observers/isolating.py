@@ -309,10 +309,11 @@ class Isolating(FlightLaw, Supervised):
             return state, inputs
         xp, vehicle, gyro, flight = namespace(omega), self.vehicle, state.gyro, state.flight
         turns = gyroscopic - vehicle.rotational_drag * gyro.filter.rate / vehicle.inertia
-        suspects = xp.concatenate([gyro.faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
+        lost = gyro.faulty | ~column(inputs.imu.rate_valid)
+        rate, vague = where(lost, gyro.filter.rate, omega), where(lost, gyro.filter.rr, 0.0)
         rotors, acts = rotor_watch.step_watch(
             *(state.rotors, vehicle, self.rotor_effects, inputs, inputs.rotors),
-            *(omega, turns, suspects, dt),
+            *(rate, vague, turns, state.accelerometer.faulty[..., 2], dt),
         )
         # what a suspect rotor may do is no evidence against a sensor, nor is a reading an outlier for it
         unknown = gyro.filter._replace(dd=larger(gyro.filter.dd, acts.turning))

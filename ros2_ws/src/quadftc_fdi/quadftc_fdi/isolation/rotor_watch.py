@@ -3,14 +3,13 @@ r"""The rotors among the other suspects of `isolating`: what they may do to gyro
 `rotor_diagnosis` judges the rotors by gyro and accelerometer, before these are judged. It is asked first, as
 a rotor that loses thrust looks like a jump of both. While a rotor is suspect, the unknown acceleration may be
 as large as what it gives: the sample is then no evidence against a sensor. Once it is named, torque and
-thrust are those that the rotors really give. An axis of a sensor that is faulty does not judge.
+thrust are those that the rotors really give. Where the gyro is not believed, a rate by attitude and torque
+stands in.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
-
-import numpy as np
 
 from quadftc_fdi.rotor_diagnosis.monitor import (
     RotorInputs,
@@ -22,6 +21,7 @@ from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, lagged, thrusts_of
 from quadftc_model.arrays import (
     Array,
     Components,
+    Flag,
     Scalar,
     Vector,
     any_of,
@@ -58,7 +58,7 @@ def start_watch(vehicle: Vehicle, effects: Effects, imu: ImuSample, rotors: Roto
     """Start at a sample."""
     speeds = where(column(rotors.measured), rotors.speeds, rotors.command)
     known = namespace(imu.body_rate).zeros_like(imu.body_rate)
-    seen = _inputs(vehicle, imu, rotors, speeds, rotors.command, known, np.zeros(4, np.bool_))
+    seen = _inputs(vehicle, imu, rotors, speeds, rotors.command, known, known, rotors.measured)
     return RotorWatch(start_rotors(effects, seen), rotors.command, speeds)
 
 
@@ -69,14 +69,16 @@ def step_watch(
     inputs: FaultObserverInputs,
     rotors: RotorReading,
     rate: Vector,
+    vague: Vector,
     known: Vector,
-    faulty: Array,
+    faulty: Flag,
     dt: Scalar,
 ) -> tuple[RotorWatch, Acts]:
     """Advance by ``dt`` [s] to a sample; also return what the rotors give.
 
-    ``rate`` is the gyro's, less its known errors [rad/s]; ``known`` the angular acceleration by all but the
-    rotors [rad/s²]; ``faulty``: axes of the gyro, and z of the accelerometer, that were (..., 4).
+    ``rate`` is the gyro's, less its known errors [rad/s]; where it is not believed, another one of a variance
+    ``vague`` [rad²/s²], which is 0 elsewhere. ``known`` is the angular acceleration by all but the rotors
+    [rad/s²]; ``faulty``: z of the accelerometer was.
     """
     commanded = lagged(state.commanded, rotors.command, vehicle.rotors.time_constant, dt)
     speeds = where(column(rotors.measured), rotors.speeds, commanded)
@@ -84,7 +86,7 @@ def step_watch(
     known = known + swirl / vehicle.inertia
     imu = inputs.imu._replace(body_rate=rate)
     monitor = step_rotors(
-        state.monitor, effects, _inputs(vehicle, imu, rotors, speeds, commanded, known, faulty), dt
+        state.monitor, effects, _inputs(vehicle, imu, rotors, speeds, commanded, vague, known, faulty), dt
     )
     acts = _acting(monitor, state.monitor.thrusts, vehicle, effects, inputs, rotors, swirl)
     return RotorWatch(monitor, commanded, speeds), acts
@@ -140,13 +142,14 @@ def _inputs(
     rotors: RotorReading,
     speeds: Components,
     commanded: Components,
+    vague: Vector,
     known: Vector,
-    faulty: Array,
+    faulty: Flag,
 ) -> RotorInputs:
-    usable = imu.rate_valid & imu.force_valid
     thrusts, wanted = thrusts_of(vehicle, speeds), thrusts_of(vehicle, commanded)
     force = imu.specific_force[..., 2]
-    return RotorInputs(thrusts, imu.body_rate, force, known, usable, faulty, wanted, rotors.measured)
+    deaf = faulty | ~imu.force_valid
+    return RotorInputs(thrusts, imu.body_rate, vague, force, known, deaf, wanted, rotors.measured)
 
 
 def _wrench(vehicle: Vehicle, thrusts: Components) -> Array:

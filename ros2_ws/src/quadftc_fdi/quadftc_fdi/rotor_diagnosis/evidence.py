@@ -61,6 +61,7 @@ class Residuals(NamedTuple):
     """Averages over K `TIMES`, and what is learned of them in healthy flight."""
 
     mean: Array  # of r (4), w (n) and s w (n): (..., K, 4 + 2 n)
+    vague: Array  # of the variance of a rate that is not the gyro's (..., K, 3) [rad²/s²]
     usual: Array  # d_0 (..., 4) [rad/s², m/s²]
     variance: Array  # of r about d_0 (..., K, 4)
     learned: Scalar  # for how long [s]
@@ -81,7 +82,7 @@ class Judged(NamedTuple):
 
     evidence: Evidence
     deviation: Array  # D (..., K, 4)
-    variance: Array  # of D without a fault (..., K, 4); `NEVER` where the sensor is faulty
+    variance: Array  # of D without a fault (..., K, 4)
 
 
 def start_residuals(effects: Effects, thrusts: Array) -> Residuals:
@@ -91,29 +92,51 @@ def start_residuals(effects: Effects, thrusts: Array) -> Residuals:
     still = zeros[..., :1] + xp.zeros_like(effects.size)
     mean = xp.concatenate([still, thrusts, zeros], axis=-1)[..., None, :] * ones
     variance = (still + PRIOR * effects.size)[..., None, :] ** 2 * ones
-    return Residuals(mean, still, variance, zeros[..., 0])
+    return Residuals(mean, 0.0 * variance[..., :3], still, variance, zeros[..., 0])
 
 
-def average(state: Residuals, residual: Array, thrusts: Array, losses: Array, dt: Scalar) -> Residuals:
-    """Average a sample: residual (..., 4), thrusts and known losses (..., n)."""
+def average(
+    state: Residuals, residual: Array, thrusts: Array, losses: Array, vague: Array, dt: Scalar
+) -> Residuals:
+    """Average a sample: residual (..., 4), thrusts and losses (..., n), variance of the rate (..., 3)."""
     news = namespace(residual).concatenate([residual, thrusts, thrusts * losses], axis=-1)
     gains = (1.0 - exp(-dt / TIMES))[:, None]
-    return state._replace(mean=state.mean + gains * (news[..., None, :] - state.mean))
+    return state._replace(
+        mean=state.mean + gains * (news[..., None, :] - state.mean),
+        vague=state.vague + gains * (vague[..., None, :] - state.vague),
+    )
+
+
+def unheard(state: Residuals, vague: Array, deaf: Flag) -> Array:
+    """Return the variance of the mean residuals (..., K, 4) by what no gyro and no accelerometer tells.
+
+    An acceleration averaged over T is a rate less its own average, over T. Each has an error of its own.
+    """
+    turned = (vague[..., None, :] + state.vague) / (TIMES * TIMES)[:, None]
+    pushed = where(deaf, NEVER, 0.0)[..., None, None] * np.ones((len(TIMES), 1))
+    return namespace(turned).concatenate([turned, pushed], axis=-1)
 
 
 def judge(
-    state: Residuals, effects: Effects, faulty: Array, std_dev: Array, deaf: Array, measured: Flag
+    state: Residuals,
+    effects: Effects,
+    faulty: Array,
+    doubtful: Array,
+    std_dev: Array,
+    unheard: Array,
+    measured: Flag,
 ) -> Judged:
     """Judge the rotors that are not ``faulty``; ``std_dev`` is that of the losses of those (..., n).
 
-    ``deaf``: channels (..., 4) whose sensor is faulty. ``measured``: thrusts are those of measured speeds.
+    Losses of ``doubtful`` rotors are not taken out. ``unheard``: see there. ``measured``: thrusts are those
+    of measured speeds.
     """
     n, mean = faulty.shape[-1], state.mean
-    thrusts, lost = mean[..., 4 : 4 + n], mean[..., 4 + n :]  # (..., K, n)
+    thrusts, lost = mean[..., 4 : 4 + n], mean[..., 4 + n :] * ~doubtful[..., None, :]  # (..., K, n)
     model = thrusts @ effects.columns
     deviation = mean[..., :4] - state.usual[..., None, :] + lost @ effects.columns
     fast = UNSURE * (model - model[..., -1:, :])
-    variance = where(deaf[..., None, :], NEVER, state.variance + fast * fast)
+    variance = state.variance + fast * fast + unheard
     # known losses may be otherwise
     unsure = (KNOWN * lost) ** 2 + (thrusts * std_dev[..., None, :]) ** 2
     unsure = where(column(any_of(faulty)), unsure @ (effects.columns * effects.columns), 0.0)
@@ -164,7 +187,9 @@ def _explain(
     best = rest == least
     others = where(best, np.inf, rest).min(axis=-1, keepdims=True)
     second = where(best.sum(axis=-1, keepdims=True) > 1, least, others)
-    loud = best & fits & (likely > ALARM) & (loss > SMALLEST)
+    # a push along z, or an accelerometer that is off, shows in the force alone
+    turned = (deviation * deviation * weight)[..., :3].sum(axis=-1, keepdims=True)
+    loud = best & fits & (likely > ALARM) & (loss > SMALLEST) & (turned > least + LEAD)
     alone = loud & (second > least + LEAD)
     likely = (likely * fits).max(axis=-2)
     return Evidence(likely, loss[..., 0, :], fits.any(axis=-2), loud.any(axis=-2), alone.any(axis=-2))
@@ -178,4 +203,6 @@ def learn(state: Residuals, effects: Effects, deviation: Array, calm: Array, dt:
     square = smaller(deviation * deviation, CLIP * state.variance)
     share = time[..., None, None] / (EARLY[:, None] + learned[..., None, None])
     variance = state.variance + share * (square - state.variance)
-    return Residuals(state.mean, usual, larger(variance, (LEAST * effects.size) ** 2), learned)
+    return state._replace(
+        usual=usual, variance=larger(variance, (LEAST * effects.size) ** 2), learned=learned
+    )

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.rotor_diagnosis.evidence import NEVER, TIMES, Residuals
+from quadftc_fdi.rotor_diagnosis.evidence import TIMES, Residuals
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects
 from quadftc_model.arrays import (
     Array,
@@ -59,11 +59,11 @@ def close_losses(state: Losses, healthy: Array) -> Losses:
 
 
 def correct_losses(
-    state: Losses, seen: Residuals, effects: Effects, named: Array, change: Array, deaf: Array, dt: Scalar
+    state: Losses, seen: Residuals, effects: Effects, named: Array, change: Array, unheard: Array, dt: Scalar
 ) -> Losses:
     """Advance by ``dt`` [s]; ``change`` is l of what the known losses leave (..., n).
 
-    Channels that are ``deaf`` (..., 4) have no sensor.
+    ``unheard``: variance by what no sensor tells (..., K, 4).
     """
     n = change.shape[-1]
     noise = CHANGES**2 * dt + JUMP**2 * (change > JUMPED)
@@ -71,8 +71,9 @@ def correct_losses(
     P = state.covariance + _diagonal(named * smaller(noise, room))
     # four channels at once
     H = -effects.rows * (named * seen.mean[..., 0, 4 : 4 + n])[..., None, :]  # (..., 4, n)
-    density = 2.0 * (TIMES[0] * seen.variance[..., 0, :] + TIMES[2] * seen.variance[..., 2, :])
-    R = _diagonal(where(deaf, NEVER, density / larger(dt, 1e-6)))
+    variance = seen.variance + unheard
+    density = 2.0 * (TIMES[0] * variance[..., 0, :] + TIMES[2] * variance[..., 2, :])
+    R = _diagonal(density / larger(dt, 1e-6))
     PH = P @ H.swapaxes(-1, -2)
     gain = solve_positive(H @ PH + R, PH.swapaxes(-1, -2)).swapaxes(-1, -2)  # (..., n, 4)
     innovation = seen.mean[..., 0, :4] - seen.usual - (H @ state.mean[..., None])[..., 0]

@@ -1,9 +1,11 @@
 r"""Which rotor is weak, and by how much: one step of the diagnosis of all rotors.
 
-1. Average the residual of gyro and accelerometer against the rotors' thrust, and judge it (`evidence`).
+1. Average the residual of gyro and accelerometer against the rotors' thrust, and judge it (`evidence`). Where
+   the gyro is not believed, a rate by attitude and torque stands in, as far as it is known.
 2. A rotor that is blamed for `HOLD` is named. Its loss is estimated from then on (`losses`).
 3. Where speeds are measured: a rotor that does not follow its command is named, too (`following`).
-4. A named rotor is healthy again once its loss has been small, and it has followed, for `RECOVERED`.
+4. One that others explain as well is named, but ambiguous: later residuals say whether it is another one.
+5. A named rotor is healthy again once its loss has been small, and it has followed, for `RECOVERED`.
 
 The means and variances that residuals are judged by are learned while no rotor is named. So what is constant
 from the start is no fault: a centre of mass that is off, a wrong inertia, a rotor that was always weak.
@@ -31,6 +33,7 @@ from quadftc_model.arrays import (
     exp,
     larger,
     namespace,
+    stacked,
     where,
 )
 from quadftc_model.samples import FAULT_KINDS, RotorEstimate
@@ -53,9 +56,8 @@ class RotorMonitor(NamedTuple):
     residuals: Residuals
     losses: Losses
     following: Following  # as far as speeds are measured
-    rate: Vector  # of the last sample that was used [rad/s]
+    rate: Vector  # of the last sample [rad/s]
     thrusts: Array  # of the last sample (..., n)
-    fresh: Flag  # there is such a sample just before
     blamed: Array  # for how long each rotor has been blamed (..., n) [s]
     suspected: Array  # for how long it has been suspect [s]
     named: Array  # by gyro and accelerometer
@@ -70,11 +72,11 @@ class RotorInputs(NamedTuple):
     """What is seen at a sample."""
 
     thrusts: Array  # of n healthy rotors at these speeds, or at lagged commands (..., n), in the model's unit
-    rate: Vector  # of the gyro, less its known bias [rad/s]
+    rate: Vector  # of the gyro, less its known bias; where it is not believed, of attitude and torque [rad/s]
+    vague: Vector  # variance of the latter [rad²/s²]; 0 where the gyro is believed
     force: Scalar  # specific force along body z [m/s²]
     known: Vector  # angular acceleration of other known causes: the body's rotation, drag [rad/s²]
-    usable: Flag  # gyro and accelerometer are there
-    faulty: Array  # bool (..., 4): channels of the residual whose sensor is faulty, which say nothing
+    deaf: Flag  # the accelerometer is absent or faulty, and says nothing
     wanted: Array  # thrusts that the lagged commands ask for (..., n)
     measured: Flag  # the thrusts are those of measured speeds
 
@@ -90,7 +92,6 @@ def start_rotors(effects: Effects, inputs: RotorInputs) -> RotorMonitor:
         following.start_following(thrusts),
         inputs.rate,
         thrusts,
-        inputs.usable,
         *(zeros, zeros, no, zeros, zeros, no, zeros, no),
     )
 
@@ -98,36 +99,58 @@ def start_rotors(effects: Effects, inputs: RotorInputs) -> RotorMonitor:
 def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: Scalar) -> RotorMonitor:
     """Advance by ``dt`` [s] to a sample."""
     thrusts, named = inputs.thrusts, state.named
-    used = inputs.usable & state.fresh & _carried(effects, thrusts)
+    used = _carried(effects, thrusts)
     residual = _residual(state, effects, inputs, used, dt)
-    seen = evidence.average(state.residuals, residual, thrusts, state.losses.mean, dt)
-    std_dev, deaf = losses.std_dev_of(state.losses), inputs.faulty
-    judged = evidence.judge(seen, effects, named, std_dev, deaf, inputs.measured)
+    seen = evidence.average(state.residuals, residual, thrusts, state.losses.mean, inputs.vague, dt)
+    unheard, std_dev = evidence.unheard(seen, inputs.vague, inputs.deaf), losses.std_dev_of(state.losses)
+    others = std_dev, unheard, inputs.measured
+    judged = evidence.judge(seen, effects, named, named & ~named, *others)
+    # who else may it be that is ambiguous?
+    again = branch(
+        state.ambiguous.any(axis=-1),
+        lambda: evidence.judge(seen, effects, named & ~state.ambiguous, state.ambiguous, *others).evidence,
+        lambda: judged.evidence,
+    )
     suspect = judged.evidence.suspect
     busy = suspect | named | (state.suspected > 0.0) | state.unsure
-    calm = used * ~named.any(axis=-1) * ~deaf.any(axis=-1) * where(suspect.any(axis=-1), DOUBTED, 1.0)
+    heard = ~(inputs.vague > 0.0).any(axis=-1) & ~inputs.deaf
+    calm = used * ~named.any(axis=-1) * heard * where(suspect.any(axis=-1), DOUBTED, 1.0)
     state = state._replace(
         residuals=evidence.learn(seen, effects, judged.deviation, calm, dt),
-        rate=where(column(inputs.usable), inputs.rate, state.rate),
+        rate=inputs.rate,
         thrusts=thrusts,
-        fresh=inputs.usable,
         likely=judged.evidence.likely,
     )
-    state = branch(busy.any(axis=-1), lambda: _decide(state, effects, judged, used, deaf, dt), lambda: state)
+    state = branch(
+        busy.any(axis=-1), lambda: _decide(state, effects, judged, again, used, unheard, dt), lambda: state
+    )
     return chosen(inputs.measured, _compare(state, effects, inputs.wanted, thrusts, dt), state)
 
 
 def _decide(
-    state: RotorMonitor, effects: Effects, judged: Judged, used: Flag, deaf: Array, dt: Scalar
+    state: RotorMonitor,
+    effects: Effects,
+    judged: Judged,
+    again: Evidence,
+    used: Flag,
+    unheard: Array,
+    dt: Scalar,
 ) -> RotorMonitor:
-    """Name rotors by the evidence, and follow those that are named."""
+    """Name rotors by the evidence, and follow those that are named.
+
+    ``again`` is the evidence where ambiguous losses are not taken out.
+    """
     found, ready = judged.evidence, column(used & (state.residuals.learned > NEEDED))
     suspected = (state.suspected + dt) * (found.suspect & ready)
-    blamed = (state.blamed + dt) * (found.alarm & ready)
-    state = state._replace(suspected=suspected, blamed=blamed)
+    rival = column(state.ambiguous.any(axis=-1)) & again.alone & ~state.named
+    blamed = (state.blamed + dt) * ((found.alarm | rival) & ready)
+    replaced = state.ambiguous & column((rival & (blamed > HOLD)).any(axis=-1))
+    state = _withdraw(state._replace(suspected=suspected, blamed=blamed), replaced)
+    found = found._replace(loss=where(rival, again.loss, found.loss), alone=found.alone | rival)
     state = _name(state, (blamed > HOLD) & ~state.named, found)
+    state = state._replace(ambiguous=state.ambiguous & ~(again.alone & ready))
     change = evidence.change_of(state.residuals, effects, judged)
-    state = _follow(state, effects, change, used, deaf, dt)
+    state = _follow(state, effects, change, used, unheard, dt)
     changing = state.named & ((state.age < NEW) | (change > losses.JUMPED))
     return state._replace(unsure=(suspected > 0.0) | changing)
 
@@ -172,7 +195,22 @@ def _residual(state: RotorMonitor, effects: Effects, inputs: RotorInputs, used: 
     pushed = column(inputs.force) - now @ effects.columns[:, 3:]
     residual = namespace(turned).concatenate([turned, pushed], axis=-1)
     lost = (now * state.losses.mean) @ effects.columns
-    return where(column(used) & ~inputs.faulty, residual, state.residuals.usual - lost)
+    deaf = stacked([inputs.deaf & ~inputs.deaf] * 3 + [inputs.deaf])
+    return where(column(used) & ~deaf, residual, state.residuals.usual - lost)
+
+
+def _withdraw(state: RotorMonitor, wrong: Array) -> RotorMonitor:
+    """Take back names."""
+    n, mean = wrong.shape[-1], state.residuals.mean
+    known = where(wrong[..., None, :], 0.0, mean[..., 4 + n :])
+    mean = namespace(mean).concatenate([mean[..., : 4 + n], known], axis=-1)
+    return state._replace(
+        residuals=state.residuals._replace(mean=mean),
+        losses=losses.close_losses(state.losses, wrong),
+        named=state.named & ~wrong,
+        blamed=where(wrong, 0.0, state.blamed),
+        ambiguous=state.ambiguous & ~wrong,
+    )
 
 
 def _name(state: RotorMonitor, new: Array, found: Evidence) -> RotorMonitor:
@@ -195,11 +233,11 @@ def _name(state: RotorMonitor, new: Array, found: Evidence) -> RotorMonitor:
 
 
 def _follow(
-    state: RotorMonitor, effects: Effects, change: Array, used: Flag, deaf: Array, dt: Scalar
+    state: RotorMonitor, effects: Effects, change: Array, used: Flag, unheard: Array, dt: Scalar
 ) -> RotorMonitor:
     """Estimate the losses of the rotors that are named, and acquit who has recovered."""
     counts = state.named & column(used)
-    lost = losses.correct_losses(state.losses, state.residuals, effects, counts, change, deaf, dt)
+    lost = losses.correct_losses(state.losses, state.residuals, effects, counts, change, unheard, dt)
     small = larger(CERTAIN * losses.std_dev_of(lost), WEAK)
     calm = (state.calm + dt * counts) * (state.named & (lost.mean < small) & (small < 0.15))
     back = calm > RECOVERED
