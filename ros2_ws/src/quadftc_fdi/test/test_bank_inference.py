@@ -17,7 +17,8 @@ LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 RARER = -9.0  # log of odds
 THERE, NONE = np.ones(3, bool), np.zeros(3, bool)
 RETURNS = (modes.RETURN, modes.GYRO_RETURN)
-BLIND = 0.4 * np.sin(0.05 * np.arange(ROWS))  # rad/s; rate without the gyro
+BLIND = 0.4 * np.sin(0.05 * np.arange(ROWS))  # rad/s, rad; what a sensor of a wrong scale should read
+OF_SCALE = {modes.GYRO: modes.SCALED, modes.ATTITUDE: modes.STRETCHED}
 ALIKE = np.zeros((modes.MODES, sum(SLOTS)))  # log weight
 
 
@@ -33,7 +34,7 @@ def readings(kind, size, slope, repeats_gyro, end=ROWS):
     gyro = gyro + fault * BLIND * (kind == modes.SCALED)
     told = gyro if repeats_gyro else rate
     angle = np.cumsum(told) * DT + 0.01 * rng.standard_normal(ROWS) + fault * (kind == modes.ATTITUDE)
-    return known, gyro, angle
+    return known, gyro, angle + fault * BLIND * (kind == modes.STRETCHED)
 
 
 class SecondFilter:
@@ -65,11 +66,11 @@ class SecondFilter:
         self.move(F, driven, Q)
         self.age += DT if self.age >= 0.0 else 0.0
 
-    def measure(self, H, reading, variance, sensor, blind=0.0):
+    def measure(self, H, reading, variance, sensor, scaled=0.0):
         if self.age >= 0.0 and self.kind == sensor:
             H = H + np.array([0.0, 0.0, 0.0, 0.0, 1.0, self.age])
-        if self.age >= 0.0 and self.kind == modes.SCALED:
-            H = H + blind * np.eye(6)[4]
+        if self.age >= 0.0 and self.kind == OF_SCALE[sensor]:
+            H = H + scaled * np.eye(6)[4]
         e, V = reading - H @ self.x, H @ self.P @ H + variance
         self.log_likelihood -= 0.5 * (e * e / V + np.log(V))
         K = self.P @ H / V
@@ -113,7 +114,8 @@ def measure(state, bank, gyro, q_xyzw, blind=LEVEL[:3]):
     S = hypotheses.of_gyro(bank, state.rate, blind)
     state, seen = motion.take_gyro(state, gyro, NOISE.gyro, THERE)
     bank = hypotheses.weigh(bank, OF_GYRO, seen, S)
-    S = hypotheses.of_attitude(bank, state.rate, modes.pattern(modes.ATTITUDE))
+    added = modes.pattern(modes.ATTITUDE) + blind[:, None] * modes.pattern(modes.STRETCHED)
+    S = hypotheses.of_attitude(bank, state.rate, added)
     state, seen = motion.take_attitude(state, q_xyzw, NOISE.attitude, THERE)
     return state, hypotheses.weigh(bank, OF_ATTITUDE, seen, S)
 
@@ -121,7 +123,13 @@ def measure(state, bank, gyro, q_xyzw, blind=LEVEL[:3]):
 @pytest.mark.parametrize("repeats_gyro", [False, True])
 @pytest.mark.parametrize(
     ("kind", "size", "slope"),
-    [(modes.ATTITUDE, 0.03, 0.02), (modes.GYRO, -0.1, 0.1), (modes.PUSH, 4.0, 0.0), (modes.SCALED, 0.5, 0.0)],
+    [
+        (modes.ATTITUDE, 0.03, 0.02),
+        (modes.GYRO, -0.1, 0.1),
+        (modes.PUSH, 4.0, 0.0),
+        (modes.SCALED, 0.5, 0.0),
+        (modes.STRETCHED, 0.1, 0.0),
+    ],
 )
 def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeats_gyro, monkeypatch):
     """Separate-bias theorem: state, covariance and likelihood ratio are those of the larger filter."""
@@ -140,7 +148,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
                 each.begin(modes.PRIOR[mode])
             by_gyro = np.eye(6)[BETA] + np.eye(6)[OMEGA]
             each.measure(by_gyro, gyro[row], NOISE.gyro[0], modes.GYRO, BLIND[row])
-            each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
+            each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE, BLIND[row])
     assert not state.loud.any()  # no reading was taken for a loud one
     evidence = believed.log_weight[mode, SLOT] - hypotheses.USUAL[mode, SLOT]
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
@@ -251,6 +259,16 @@ def test_a_hypothesis_knows_which_turns_gravity_shows(axis):
     assert shown == pytest.approx(innovation[:2] / size, abs=1e-5)
 
 
+def test_an_attitude_of_a_wrong_scale_is_told_by_predicted_turns():
+    """The corrected angle follows an attitude that reads nothing; the reckoned one turns on."""
+    reckoned, none = np.full(3, 0.1), np.zeros(3)
+    for _ in range(25):
+        reckoned = motion.reckon(reckoned, none, np.full(3, 0.01), 0.004)
+    assert reckoned == pytest.approx(0.1 * np.exp(-0.1) + 0.01 * np.exp(-0.004 * np.arange(1, 26)).sum())
+    held = motion.reckon(np.full(3, 3.2), np.full(3, -3.1), none, 1e3)
+    assert held == pytest.approx(np.full(3, -3.1))
+
+
 def test_an_attitude_is_late_by_what_the_vehicle_has_turned_meanwhile():
     time, lead, late = np.arange(2000) * 0.004, np.zeros(3), 0.2
     angle = np.sin(2.0 * time)
@@ -315,14 +333,14 @@ def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
 
 def test_a_wrong_scale_is_held_possible_by_both_witnesses():
     bank = one_onset(hypotheses.start_bank(np.zeros(3)), now=True)
-    scaled, step = modes.KIND == modes.SCALED, modes.KIND == modes.GYRO
+    scaled, step = np.isin(modes.KIND, [*OF_SCALE.values()]), modes.KIND == modes.GYRO
     for good, driven, held in (
         (THERE, np.True_, True),
         (NONE, np.True_, False),
         (THERE, np.False_, False),
     ):
         began = inference.believe(bank, good, THERE, driven, NONE, RARER).log_weight > hypotheses.LOWEST
-        assert began[scaled].any(axis=-1).tolist() == [held] * 3
+        assert began[scaled].any(axis=-1).tolist() == [held] * 6
         assert began[step].any(axis=-1).all()
 
 

@@ -158,6 +158,19 @@ def test_an_attitude_that_creeps_about_yaw_is_named_and_no_gyro_of_a_wrong_scale
     assert alarms(said)[0] == {("attitude", 2)}
 
 
+@pytest.mark.parametrize(("hertz", "reads"), [(0.5, 0.4), (0.5, 0.6), (0.8, 0.2)])
+def test_an_attitude_of_a_wrong_scale_about_yaw_is_named_and_no_gyro_that_drifts(hertz, reads):
+    """While the vehicle begins to turn, its error is that of a gyro that drifts."""
+    still, unit, turns = hovering(2), np.eye(3)[2], 2.0 * np.pi * hertz
+    turned = turns * ELAPSED[:, 0]
+    angle, rate = 0.1 / turns * (1.0 - np.cos(turned)), 0.1 * np.sin(turned)
+    told = (np.where(ON, reads, 1.0) * angle)[:, None] * unit + euler_from_quaternion(still.imu.q_xyzw)
+    torque = still.torque + QBALL.inertia * np.gradient(rate, DT)[:, None] * unit
+    flight = with_imu(still, q_xyzw=quaternion_from_euler(told))._replace(torque=torque)
+    said = said_of(with_imu(flight, body_rate=still.imu.body_rate + rate[:, None] * unit))
+    assert alarms(said)[0] == {("attitude", 2)}
+
+
 @pytest.mark.parametrize("by", [0.2, 0.3])
 @pytest.mark.parametrize("axis", range(3))
 def test_an_attitude_that_is_late_while_its_axis_swings_is_named_and_no_gyro(axis, by):

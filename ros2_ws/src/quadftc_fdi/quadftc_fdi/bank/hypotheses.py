@@ -172,7 +172,7 @@ def _returning(part: Array, best: list[Array]) -> Array:
 def disregard(state: Bank, attitude: Mask, gyro: Mask) -> Bank:
     """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size."""
     none = namespace(gyro).zeros_like(gyro)
-    as_kinds = [attitude, gyro, none, none, attitude, none, none, gyro]
+    as_kinds = [attitude, gyro, none, none, attitude, none, none, gyro, attitude]
     stuck = namespace(gyro).concatenate(as_kinds, axis=-1)
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 

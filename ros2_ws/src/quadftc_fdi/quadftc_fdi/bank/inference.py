@@ -42,6 +42,7 @@ from quadftc_fdi.bank.modes import (
     PUSH,
     SCALED,
     SENSOR,
+    STRETCHED,
     WILD,
 )
 from quadftc_fdi.bank.noise import MEMORY, SMALL
@@ -100,7 +101,7 @@ def believe(
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
     joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
     both = (good_attitude & column(driven))[..., AXIS]
-    told, age = both | ((KIND != WILD) & (KIND != SCALED)), state.age[..., EFFECT, :]
+    told, age = both | ((KIND != WILD) & (KIND != SCALED) & (KIND != STRETCHED)), state.age[..., EFFECT, :]
     began = (age >= 0.0) & told[..., None]
     prior = USUAL + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
     prior = prior + where((NAME == GYRO) & ~held[..., AXIS], rarer, 0.0)[..., None]

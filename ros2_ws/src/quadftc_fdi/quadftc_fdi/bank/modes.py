@@ -11,7 +11,8 @@ An attitude that is late by b reads b (A - 1) / T of the angle too much, where A
 Padé's all-pass (1 - s T/2) / (1 + s T/2). No attitude is early.
 
 A gyro of a wrong scale reads b times what it should read too much. What that is, attitude and torque tell
-without the gyro: a dead one shows no rate.
+without the gyro: a dead one shows no rate. An attitude of a wrong scale reads b times the angle too much. The
+angle is reckoned by predicted turns: a corrected one follows the attitude.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from numpy.typing import NDArray
 from quadftc_fdi.bank.noise import LONGER
 from quadftc_model.arrays import Scalar, Vector, column, exp
 
-# rows of the kinds; the first eight have an effect of their own
-ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, SCALED = range(8)
-JUMP, LAG, STEADY, CREEP, RAMP, WILD = range(8, 14)
+# rows of the kinds; the first nine have an effect of their own
+ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, SCALED, STRETCHED = range(9)
+JUMP, LAG, STEADY, CREEP, RAMP, WILD = range(9, 15)
 
 
 class Kind(NamedTuple):
@@ -47,7 +48,7 @@ EVENTS = 100.0  # 1/h; chosen: on each axis, what is no fault
 ATTITUDE_SIZE = math.radians(5.0)  # rad; chosen: what a sensor jumps
 ATTITUDE_SLOPE = 0.03  # rad/s; chosen: seldom creeps; decides who is blamed for a slow discrepancy
 GYRO_SIZE = 0.3  # rad/s; chosen: what a sensor jumps, and what a fast one drifts in a second
-WRONG_SCALE = 0.5  # 1; chosen: of a gyro
+WRONG_SCALE = 0.5  # 1; chosen: of a gyro or an attitude
 PUSH_SIZE = 10.0  # rad/s²; chosen: collision, gust
 GYRO_WILD = PUSH_SIZE  # rad/s²; of a reading that oscillates or lags: as fast as a push
 JUMP_SIZE = math.radians(0.1)  # rad; chosen: what an attitude jumps as a marker hides or a filter resets
@@ -62,6 +63,7 @@ KINDS = (
     Kind(FELT, FELT, True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),  # of the accelerometer, as a tilt
     Kind(GYRO_RETURN, GYRO_RETURN, False, GYRO_SIZE, GYRO_SIZE, EVENTS),  # of a gyro that was off before
     Kind(SCALED, GYRO, True, WRONG_SCALE, NONE, FAULTS),
+    Kind(STRETCHED, ATTITUDE, True, WRONG_SCALE, NONE, FAULTS),
     Kind(ATTITUDE, JUMP, False, JUMP_SIZE, NONE, EVENTS),
     Kind(LATE, LAG, False, LAGS, NONE, EVENTS),
     Kind(GYRO, GYRO, True, GYRO_SIZE, NONE, FAULTS),
@@ -70,7 +72,7 @@ KINDS = (
     Kind(GYRO, GYRO, True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
 MODES = 3 * len(KINDS)
-EFFECTS = 24  # modes with an effect of their own; the other kinds share one
+EFFECTS = 27  # modes with an effect of their own; the other kinds share one
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
 NAME = np.array([kind.name for kind in KINDS])[KIND]

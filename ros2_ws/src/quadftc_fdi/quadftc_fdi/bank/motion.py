@@ -47,7 +47,7 @@ from quadftc_model.arrays import (
     stacked,
     where,
 )
-from quadftc_model.rotations import earth_z_in_body, rotation_between, turn
+from quadftc_model.rotations import earth_z_in_body, rotation_between, turn, wrap
 from quadftc_model.samples import MAX_BODY_RATE, STANDARD_GRAVITY
 
 THETA, BETA, OMEGA, D, SCALE, LAG, LEAN, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8, 9
@@ -166,6 +166,11 @@ def rate_vagueness(before: Motion, now: Motion, dt: Scalar) -> Vector:
     P, last = now.covariance[..., OMEGA, OMEGA], before.covariance[..., OMEGA, :]
     alike = clip(last[..., OMEGA] + column(dt) * last[..., D], 0.0, COLOURED * P)
     return P * (P + alike) / (P - alike)
+
+
+def reckon(before: Vector, angles: Vector, turned: Vector, dt: Scalar) -> Vector:
+    """Return angles that have ``turned`` from ``before``, and follow ``angles`` slowly [rad]."""
+    return angles - exp(-column(dt) / CORRELATED) * wrap(angles - before - turned)
 
 
 def take_gyro(state: Motion, gyro: Vector, noise: Vector, used: Mask) -> tuple[Motion, Gains]:

@@ -67,6 +67,7 @@ class State(NamedTuple):
     rate: Vector  # reading of the gyro at the last sample [rad/s]
     q_xyzw: Quaternion  # attitude at the last sample: as read, else turned with the gyro since
     lead: Vector  # of the angles over those that follow them, by which the attitude may be late [rad]
+    reckoned: Vector  # angles by the turns that were predicted of late [rad]
     torque: Vector  # behind its lag [N m]
     translation: Translation
     failed: Array  # of gyro, attitude, accelerometer: for how long a new fault is likelier [s] (..., 3)
@@ -81,6 +82,7 @@ class Measured(NamedTuple):
     off: Vector  # attitude less motion, as Euler angles [rad]
     added: Array  # what a fault of 1 rad or 1 s adds to the rotation vector of the attitude (..., 3, effects)
     lead: Vector  # see `State`
+    reckoned: Vector  # see `State`
     tilt: Gains | None  # by gravity; None if it is not felt
 
 
@@ -115,6 +117,7 @@ class BankObserver(FlightLaw):
             rate=imu.body_rate,
             q_xyzw=imu.q_xyzw,
             lead=namespace(imu.body_rate).zeros_like(imu.body_rate),
+            reckoned=euler_from_quaternion(imu.q_xyzw),
             torque=inputs.torque,
             translation=translation.start_translation(
                 self.vehicle, self.motion_law, self.rotor_effects, inputs
@@ -200,6 +203,7 @@ class BankObserver(FlightLaw):
             rate=read,
             q_xyzw=where(column(there), imu.q_xyzw, turned),
             lead=seen.lead,
+            reckoned=seen.reckoned,
             torque=torque,
             translation=beside,
             failed=where(failing, trust.AGREES, larger(state.failed - dt, 0.0)),
@@ -238,8 +242,11 @@ class BankObserver(FlightLaw):
         bank = hypotheses.weigh(bank, OF_GYRO, by_gyro, expected, vague)
         angles = euler_from_quaternion(moved.q_xyzw)
         off = wrap(euler_from_quaternion(imu.q_xyzw) - angles)
-        lead = modes.ahead(state.lead, wrap(angles - euler_from_quaternion(state.motion.q_xyzw)), dt)
+        turned = wrap(angles - euler_from_quaternion(state.motion.q_xyzw))
+        lead = modes.ahead(state.lead, turned, dt)
+        reckoned = motion.reckon(state.reckoned, angles, turned, dt)
         changed = modes.pattern(modes.ATTITUDE) + column(modes.late_by(lead)) * modes.pattern(modes.LATE)
+        changed = changed + column(reckoned) * modes.pattern(modes.STRETCHED)
         added = _turning(angles) @ changed
         expected = hypotheses.of_attitude(bank, moved.rate, added)
         # an angle that is not used must not turn the others
@@ -254,7 +261,7 @@ class BankObserver(FlightLaw):
             expected = hypotheses.of_tilt(bank, earth_z_in_body(moved.q_xyzw), modes.pattern(modes.FELT))
             moved, tilt = motion.take_tilt(moved, imu.specific_force, white, feels)
             bank = hypotheses.weigh(bank, OF_ATTITUDE, tilt, expected)
-        return Measured(bank, moved, by_attitude, off, added, lead, tilt)
+        return Measured(bank, moved, by_attitude, off, added, lead, reckoned, tilt)
 
     def _watch_force(
         self,
