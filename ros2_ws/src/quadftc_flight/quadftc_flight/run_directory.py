@@ -40,6 +40,9 @@ NO_PARAMETERS = (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError
 _SELECTORS = {"fault_observer": "observer", "disturbance_observer": "observer", "controller": "controller"}
 
 _MISSING = re.compile(r": no [a-z ]+ '\w+'.*; there are: ")  # how a registry refuses a name
+_MISSING_OBSERVER = re.compile(
+    r": schemes\.(?P<scheme>[^.:]+)\.(?P<role>(disturbance_)?observer)(\.kind)?: no [a-z ]+ '(?P<kind>\w+)'"
+)
 
 Parameters = dict[str, dict[str, object]]  # node, without its namespace, to its parameters
 
@@ -122,7 +125,7 @@ def run_from_bag(bag: Bag) -> RecordedRun:
     name, warnings = run_name(bag.path), list[str]()
     # what was flown: parameters that are lost are compiled from the scenario
     parameters: Parameters = read_parameters(bag, "took the parameters that the scenario gives", warnings)
-    scenario = _read_scenario(bag, parameters)
+    scenario = _read_scenario(bag, parameters, warnings)
     scheme = _find_scheme(scenario, parameters, (str(stored.data.get("scheme", "")), name), bag.path)
     if "name" not in scenario.raw:  # then it was the file's
         scenario = scenario.model_copy(update={"name": name.removesuffix(f"-{scheme.name}")})
@@ -257,18 +260,34 @@ def _require_run(bag: Bag) -> None:
         raise BagError(f"{bag.path}: {what}: missing {' and '.join(missing)}; {there}")
 
 
-def _read_scenario(bag: Bag, parameters: Parameters) -> Scenario:
-    """Parse the scenario; a vehicle's file, which it names from where it lay, is found by the parameters."""
+def _read_scenario(bag: Bag, parameters: Parameters, warnings: list[str]) -> Scenario:
+    """Parse the scenario; a vehicle's file, which it names from where it lay, is found by the parameters.
+
+    Of an observer that is not installed here the name is all that is known: what it said is in the bag.
+    """
     vehicle = parameters.get("plant", {}).get("vehicle")
     overrides = [f"vehicle={vehicle}"] if isinstance(vehicle, str) and vehicle.endswith(".toml") else []
+    text, source = attached_text(bag, SCENARIO) or "", str(bag.path / SCENARIO)
     try:
-        return parse_scenario(attached_text(bag, SCENARIO) or "", str(bag.path / SCENARIO), overrides)
+        return parse_scenario(text, source, overrides)
     except ScenarioError as error:
-        first, *others = str(error).splitlines()
+        first, *others = lines = str(error).splitlines()
         words = f"{first} (and {len(others)} more)" if others else first
-        if all(_MISSING.search(line) for line in (first, *others)):
+        if not all(_MISSING.search(line) for line in lines):
+            raise BagError(words) from None
+        missing = [found for line in lines if (found := _MISSING_OBSERVER.search(line))]
+        if len(missing) < len(lines):
             raise MissingPartError(f"{words}; is the package installed that has it?") from None
-        raise BagError(words) from None
+    others = [f"schemes.{found['scheme']}.{found['role']}=none" for found in missing]
+    scenario = parse_scenario(text, source, [*overrides, *others])
+    schemes = dict(scenario.schemes)
+    for found in missing:
+        scheme, role = schemes[found["scheme"]], found["role"]
+        named = dataclasses.replace(getattr(scheme, role), kind=found["kind"])
+        schemes[found["scheme"]] = scheme.model_copy(update={role: named})
+    kinds = ", ".join(sorted({found["kind"] for found in missing}))
+    warnings.append(f"{bag.path}: {kinds}: not installed here; what it said is in the bag")
+    return scenario.model_copy(update={"schemes": schemes})
 
 
 def _find_scheme(scenario: Scenario, parameters: Parameters, names: tuple[str, str], path: Path) -> Scheme:

@@ -305,10 +305,22 @@ def test_place_without_runs_is_refused(tmp_path, name):
         find_runs([])
 
 
-def test_component_that_is_not_installed_is_named_as_such(tmp_path, scenario, flight):
+@pytest.mark.parametrize("role", ["observer: sliding_mode", "disturbance_observer: exosystem"])
+def test_observer_that_is_not_installed_has_its_name_and_what_it_said(tmp_path, scenario, flight, role):
+    without = ("scenario.yaml", "parameters.yaml")
+    run = record(tmp_path / "short-first", scenario, "first", flight, leave_out=without)
+    installed = read_run(record(tmp_path / "all-first", scenario, "first", flight))
+    (run / "scenario.yaml").write_text(TEXT.replace(role, f"{role.partition(':')[0]}: psychic"))
+    found = read_run(run)
+    assert "psychic" in (found.observer, found.disturbance_observer)
+    assert found.summary["metrics"] == installed.summary["metrics"]
+    assert any("psychic: not installed here; what it said is in the bag" in said for said in found.warnings)
+
+
+def test_controller_that_is_not_installed_is_named_as_such(tmp_path, scenario, flight):
     run = record(tmp_path / "short-first", scenario, "first", flight, leave_out=("scenario.yaml",))
-    (run / "scenario.yaml").write_text(TEXT.replace("observer: sliding_mode", "observer: psychic", 1))
-    with pytest.raises(MissingPartError, match=r"no fault observer 'psychic'.*is the package installed"):
+    (run / "scenario.yaml").write_text(TEXT.replace("controller: ismc", "controller: psychic", 1))
+    with pytest.raises(MissingPartError, match=r"no controller 'psychic'.*is the package installed"):
         read_run(run)
 
 
