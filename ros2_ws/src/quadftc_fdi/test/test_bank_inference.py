@@ -401,13 +401,15 @@ def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     assert np.array_equal(but_gyros, (own & ~of_gyro)[:, None] | (bank.age < 0.0))
 
 
-def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size():
+def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size_and_no_scale_without_a_gyro():
     bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
     bank = hypotheses.open_slots(bank, ALIKE, NONE, 0.0)
     attitude, gyro = np.array([True, False, False]), np.array([False, True, False])
-    gone = (hypotheses.disregard(bank, attitude, gyro).age < 0.0) & (bank.age >= 0.0)
-    named, axis = modes.NAME[: modes.EFFECTS], modes.AXIS[: modes.EFFECTS]
-    expected = ((named == modes.ATTITUDE) & (axis == 0)) | ((named == modes.GYRO) & (axis == 1))
+    alone = np.array([False, False, True])
+    gone = (hypotheses.disregard(bank, attitude, gyro, alone).age < 0.0) & (bank.age >= 0.0)
+    name, axis, kind = (each[: modes.EFFECTS] for each in (modes.NAME, modes.AXIS, modes.KIND))
+    expected = ((name == modes.ATTITUDE) & (axis == 0)) | ((name == modes.GYRO) & (axis == 1))
+    expected = expected | ((kind == modes.STRETCHED) & (axis == 2))
     assert np.array_equal(gone.any(axis=-1), expected)
 
 
