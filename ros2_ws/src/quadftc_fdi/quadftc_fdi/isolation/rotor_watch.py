@@ -57,8 +57,8 @@ class Acts(NamedTuple):
 def start_watch(vehicle: Vehicle, effects: Effects, imu: ImuSample, rotors: RotorReading) -> RotorWatch:
     """Start at a sample."""
     speeds = where(column(rotors.measured), rotors.speeds, rotors.command)
-    known = namespace(imu.body_rate).zeros_like(imu.body_rate)
-    seen = _inputs(vehicle, imu, rotors, speeds, rotors.command, known, known, rotors.measured)
+    none = namespace(imu.body_rate).zeros_like(imu.body_rate)
+    seen = _inputs(vehicle, imu, rotors, speeds, rotors.command, none, none, ~imu.force_valid)
     return RotorWatch(start_rotors(effects, seen), rotors.command, speeds)
 
 
