@@ -81,8 +81,8 @@ def believe(
 ) -> Posterior:
     """Return the posterior of size and slope, and the weight of mode and onset.
 
-    A wild gyro, or one of a wrong scale, is a hypothesis where the attitude is good (..., 3) and the torque
-    known: by one of them alone it cannot be told from motion, or from an attitude that jumps. Where neither a
+    A wild gyro, or a wrong scale, is a hypothesis where the attitude is good (..., 3) and the torque is
+    known: one of these alone tells neither from motion, nor from an attitude that jumps. Where neither a
     good attitude nor gravity has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of
     odds. Where a sensor is ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next
     fault is no rarer than what is none.
@@ -101,7 +101,7 @@ def believe(
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
     joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
     both = (good_attitude & column(driven))[..., AXIS]
-    told, age = both | ((KIND != WILD) & (KIND != SCALED) & (KIND != STRETCHED)), state.age[..., EFFECT, :]
+    told, age = both | ~np.isin(KIND, (WILD, SCALED, STRETCHED)), state.age[..., EFFECT, :]
     began = (age >= 0.0) & told[..., None]
     prior = USUAL + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
     prior = prior + where((NAME == GYRO) & ~held[..., AXIS], rarer, 0.0)[..., None]

@@ -15,7 +15,10 @@ For each rotor and time, with v = -b_i w_i and D = r - d_0, the generalised like
 
 is that of a loss of any size s > 0 against no fault (Willsky and Jones 1976). A disturbance explains any D.
 So a rotor is named only if D has its direction: what s v leaves of D is chi-squared with three degrees of
-freedom. v is known to `BENT` of each channel, and to `LEAK` of its length across the angular ones.
+freedom. v is known to `BENT` of each channel, and to `LEAK` of its length across the angular ones. Nor is it
+named for what a push along z explains: that shows in f alone, as does an accelerometer that is off.
+
+Where the gyro is not believed, a is of another rate, of a variance P: its average over T errs by 2 P / T².
 """
 
 from __future__ import annotations
