@@ -79,6 +79,7 @@ def encode_topic(types: Typesdict, type_name: str, fields: Mapping[str, Any], co
                 put(np.full(count, len(text), "<u4"), 4)
                 put(np.tile(np.frombuffer(text, np.uint8), (count, 1)), 1)
             continue
+        # numbers, a row a message: a length goes before those of a sequence
         dtype = np.dtype(leaf.code).newbyteorder("<")
         unknown = np.nan if dtype.kind == "f" else 0
         number = np.shape(given)[1] if leaf.length == -1 and given is not None else max(0, leaf.length or 1)

@@ -140,12 +140,14 @@ def learn(
     age, older = state.age + dt, state.older + dt
     at_anchor = turn(state.q_xyzw, turning)
     full, fuller = age >= LONG, (older >= LONGER) & any_of(good_attitude)[..., 0]
+    # gyro against torque: over a sample, spikes clipped, and summed up over the longer lag
     change, bound = gyro - last_gyro - known * step - state.moved, sqrt(TIGHT * state.gyro.near)
     square = smaller(change * change, TIGHT * larger(state.lately, state.gyro.near))
     change = clip(change, -bound, bound) * heard
     moved = state.moved + change
     walked = state.walked + moved * heard
     lately = state.lately + smaller(step / LONG, 1.0) * heard * (square - state.lately)
+    # attitude against gyro: over a sample, and of the mean over a lag from the anchor before it
     apart = rotation_between(turn(last_q, turning), q_xyzw) - state.attitude.drift * step
     both = good_gyro & good_attitude
     far = walked, column(age), full & (age < 2.0 * LONG)
@@ -153,6 +155,7 @@ def learn(
     total, count = state.apart + column(there) * angle, state.number + there
     mean = total / column(larger(count, 1.0))
     farther = mean + state.before, column(older), fuller & (older < 2.0 * LONGER)
+    # where a lag is full, its anchor moves here
     return Learning(
         _learned(state.gyro, change, *far, good_gyro, 2, LOOSE, step),
         _learned(state.attitude, apart, *farther, both, 1, TIGHT, step),

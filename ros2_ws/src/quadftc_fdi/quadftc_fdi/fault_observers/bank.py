@@ -150,6 +150,7 @@ class BankObserver(FlightLaw):
         read = where(column(imu.rate_valid), imu.body_rate, state.motion.rate + state.motion.bias)
         beside, inputs, turning = self._judge_rotors(state, inputs, ~good_gyro, dt)
         moved, without, known, torque = self._predict(state, inputs, read, turning, levels, dt)
+        # what the readings do to motion and bank, and what is to be believed of it
         good = good_gyro, good_attitude
         seen = self._measure(state, imu, moved, without, levels, good, inputs.driven, dt)
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
@@ -161,6 +162,7 @@ class BankObserver(FlightLaw):
             lambda: trust.take_over(seen.motion, bank, posterior, named, seen.added, alone, inputs.driven),
             lambda: (seen.motion, bank, p[..., 0] * 0.0),
         )
+        # the motion without the gyro follows the believed one while no attitude holds it
         blind = branch(
             any_of(~speaks[0])[..., 0] | self.attitude_from_gyro,
             lambda: believed,

@@ -68,6 +68,7 @@ def inspect(
     """Judge a log; ``baseline`` is a healthy flight of the same vehicle."""
     flight, inspection = prepare(log), _Inspection()
     gyros, ending = _gyros(flight), ending_of(flight)
+    # sensor by sensor first: the later tests leave out what is blamed
     agreement = (
         compare(log.attitude, next(iter(gyros.values()))) if log.attitude is not None and gyros else None
     )
@@ -92,6 +93,7 @@ def inspect(
     else:
         inspection.cannot("battery", reason)
     inspection.found += [*flown_findings(flight), *vibration_findings(flight)]
+    # a heading is wrong by itself only before all else fails
     others = [each.finding.onset_s for each in inspection.found]
     inspection.found += heading_findings(flight, min([*others, ending.time_s]))
     found, follows = first_cause(inspection.found, ending, log.events)
@@ -159,6 +161,7 @@ def _sensors(
     jumps, creeps = (
         ([], []) if agreement is None else disagreements(flight, agreement, log.attitude_from_gyro)
     )
+    # a pair says which sensor is off, and sooner: the path counts before it alone
     begun = min((each.finding.onset_s for each in pairs), default=float("inf"))
     inspection.found += pairs + [
         each
@@ -179,6 +182,7 @@ def _sensors(
             inspection.cannot(component, reason)
     if not gyros:
         inspection.cannot("gyro", "no body rate is logged")
+    # where attitude and gyro disagree, a third witness says whose it is: another gyro, a compass, gravity
     if agreement is not None:
         inspection.judged.append("attitude")
         main = gravity.get(next(iter(gyros)))

@@ -88,6 +88,7 @@ def offset_finding(
     first = np.median(offset[settled][: max(10, settled.sum() // 20)], axis=0)
     away = np.where(settled[:, None], offset - first, 0.0)[:, : 2 if flight.phases_known else 3]
     sizes = away[np.argmax(np.abs(away), axis=0), np.arange(away.shape[1])]
+    # it begins at a share of its largest size, and is a finding from `CREEP` on
     begun = np.abs(away) > np.maximum(BEGUN * np.abs(sizes), BEGUN * CREEP)
     axes = [axis for axis, size in enumerate(sizes) if abs(size) > CREEP]
     if not axes:
