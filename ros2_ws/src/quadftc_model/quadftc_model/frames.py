@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
-from quadftc_model.arrays import Quaternion, Vector, namespace
-from quadftc_model.rotations import quaternion_product
+from quadftc_model.arrays import Quaternion, Vector, components, namespace, stacked
+from quadftc_model.rotations import quaternion_from_euler, quaternion_product
 
 Q_ENU_NED = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0])  # x, y, z, w
 Q_FRD_FLU = np.array([1.0, 0.0, 0.0, 0.0])  # x, y, z, w
@@ -39,3 +39,15 @@ def enu_flu_from_ned_frd(q_wxyz: Quaternion) -> Quaternion:
     """Attitude q_xyzw (..., 4), FLU to ENU, of (..., 4): FRD to north-east-down, w first."""
     q_xyzw = namespace(q_wxyz).asarray(q_wxyz)[..., [1, 2, 3, 0]]
     return quaternion_product(quaternion_product(Q_ENU_NED, q_xyzw), Q_FRD_FLU)
+
+
+def ned_frd_from_enu_flu(q_xyzw: Quaternion) -> Quaternion:
+    """The way back: FRD to north-east-down, w first (..., 4)."""
+    turned = enu_flu_from_ned_frd(namespace(q_xyzw).asarray(q_xyzw)[..., [3, 0, 1, 2]])
+    return turned[..., [3, 0, 1, 2]]
+
+
+def enu_flu_from_ned_frd_angles(angles: Vector) -> Quaternion:
+    """Attitude q_xyzw (..., 4), FLU to ENU, of roll, pitch and yaw of FRD to north-east-down [rad]."""
+    roll, pitch, yaw = components(angles)
+    return quaternion_from_euler(stacked([roll, -pitch, math.pi / 2.0 - yaw]))

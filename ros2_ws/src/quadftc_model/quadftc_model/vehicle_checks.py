@@ -106,7 +106,7 @@ def _apart_from_others(rows: Floats, index: int) -> float:
 
 def _check_reach(vehicle: Vehicle) -> None:
     """The rotors are where a multirotor has them."""
-    if (reach := _reach(vehicle)) > REACH:
+    if (reach := vehicle.reach) > REACH:
         millimetres = f"; {reach:g} mm are {1e-3 * reach:g} m" if 1e-3 * reach <= REACH else ""
         why = f"a rotor {reach:.3g} m from the centre: expected within {REACH:g} m{millimetres}"
         _refuse(PLACES, vehicle.rotors.positions, why)
@@ -143,7 +143,7 @@ def _check_inertia(vehicle: Vehicle) -> None:
                 f"no body has these: {inertia[axis]:g} kg m² is larger than the sum of the others, {others:g}"
             )
             _refuse("inertia", inertia, why)
-    reach = _reach(vehicle)
+    reach = vehicle.reach
     least, most = (vehicle.mass * (share * reach) ** 2 for share in GYRATION)
     if not (np.all(inertia >= least) and np.all(inertia <= most)):
         why = (
@@ -197,7 +197,7 @@ def _check_times(vehicle: Vehicle) -> None:
 
 def _check_places(vehicle: Vehicle) -> None:
     """Lever arms and areas fit the size of the vehicle."""
-    rotors, air, reach = vehicle.rotors, vehicle.aerodynamics, _reach(vehicle)
+    rotors, air, reach = vehicle.rotors, vehicle.aerodynamics, vehicle.reach
     if rotors.torque_to_thrust > reach:
         why = (
             f"yaw_gain / thrust_gain = {rotors.torque_to_thrust:.3g} m, expected less than the {reach:.3g} m"
@@ -209,8 +209,3 @@ def _check_places(vehicle: Vehicle) -> None:
     if np.linalg.norm(air.imu_position) > 2.0 * reach:
         why = f"expected at most {2.0 * reach:.3g} m from the centre, twice as far as the rotors"
         _refuse("aerodynamics.imu_position", air.imu_position, why)
-
-
-def _reach(vehicle: Vehicle) -> float:
-    """Distance of the outermost rotor from the centre of mass [m]."""
-    return float(np.max(np.linalg.norm(vehicle.rotors.positions, axis=1)))

@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_model.arrays import Components
+from quadftc_model.frames import enu_from_ned, flu_from_frd, ned_frd_from_enu_flu
 from quadftc_model.samples import ImuSample
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.assembly import period_ns
-from quadftc_sim.autopilot import AutopilotPhysics, ned_attitude, speeds_of_shares, to_frd, to_ned
+from quadftc_sim.autopilot import AutopilotPhysics, speeds_of_shares
 from quadftc_sim.simulator import Emission
 
 HEADER = struct.Struct("<HHI")  # magic, frame_rate [Hz], frame_count
@@ -106,11 +107,11 @@ class ArduPilotPhysics(AutopilotPhysics):
         values: dict[str, object] = {
             "timestamp": time,
             "imu": {
-                "gyro": to_frd(sample.body_rate).tolist(),
-                "accel_body": to_frd(sample.specific_force).tolist(),
+                "gyro": flu_from_frd(sample.body_rate).tolist(),
+                "accel_body": flu_from_frd(sample.specific_force).tolist(),
             },
-            "position": to_ned(motion.position).tolist(),
-            "velocity": to_ned(motion.velocity).tolist(),
-            "quaternion": ned_attitude(sample.q_xyzw).tolist(),
+            "position": enu_from_ned(motion.position).tolist(),
+            "velocity": enu_from_ned(motion.velocity).tolist(),
+            "quaternion": ned_frd_from_enu_flu(sample.q_xyzw).tolist(),
         }
         return b"\n" + json.dumps(values, separators=(",", ":"), allow_nan=False).encode() + b"\n"

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Components, Quaternion, Vector
-from quadftc_model.rotations import quaternion_product
+from quadftc_model.arrays import Array, Components
 from quadftc_model.samples import ImuSample, level_sample, sanitised
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.injector import FaultInjector, Faulty
@@ -23,30 +22,12 @@ from quadftc_sim.simulator import Emission, Simulator
 MakeSimulator = Callable[[float], Simulator]  # for a rate [Hz]
 MakeInjector = Callable[[], FaultInjector]
 
-NED_OF_ENU = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])  # x, y, z, w: half a turn about north-east
-FLU_OF_FRD = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about the nose
 DEGREE = 111318.84502145034  # m of latitude, as ArduPilot's Location has it
-
-
-def to_ned(vector: Vector) -> Vector:
-    """A vector (3,) along east, north, up, along north, east, down."""
-    return np.array([vector[1], vector[0], -vector[2]])
 
 
 def to_degrees(home: Sequence[float], east: float, north: float) -> tuple[float, float]:
     """Latitude and longitude [deg] of a place [m] from a home, whose first two numbers are its own."""
     return home[0] + north / DEGREE, home[1] + east / (DEGREE * math.cos(math.radians(home[0])))
-
-
-def to_frd(vector: Vector) -> Vector:
-    """A vector (3,) along forward, left, up, along forward, right, down."""
-    return np.array([vector[0], -vector[1], -vector[2]])
-
-
-def ned_attitude(q_xyzw: Quaternion) -> Quaternion:
-    """Attitude, body to earth in our axes, in the autopilots' axes and order: w, x, y, z."""
-    x, y, z, w = quaternion_product(NED_OF_ENU, quaternion_product(q_xyzw, FLU_OF_FRD))
-    return np.array([w, x, y, z])
 
 
 def speeds_of_shares(vehicle: Vehicle, shares: Sequence[float] | Array) -> Components:

@@ -27,7 +27,7 @@ def standard_pressure(height: Scalar) -> Scalar:
     return SEA_LEVEL * (1.0 - LAPSE * height / TEMPERATURE) ** EXPONENT
 
 
-def pressure_height(pressure: Scalar) -> Scalar:
+def standard_height(pressure: Scalar) -> Scalar:
     """Height above sea level [m] at which the standard atmosphere has a pressure [Pa]."""
     return TEMPERATURE / LAPSE * (1.0 - (pressure / SEA_LEVEL) ** (1.0 / EXPONENT))
 

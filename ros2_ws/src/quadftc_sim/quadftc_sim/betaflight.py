@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 import struct
 
+from quadftc_model.frames import flu_from_frd, ned_frd_from_enu_flu
 from quadftc_model.samples import ImuSample
-from quadftc_sim.autopilot import AutopilotPhysics, ned_attitude, speeds_of_shares, to_frd
+from quadftc_sim.autopilot import AutopilotPhysics, speeds_of_shares
 from quadftc_sim.barometer import standard_pressure
 from quadftc_sim.simulator import Emission
 
@@ -75,9 +76,9 @@ class BetaflightPhysics(AutopilotPhysics):
         longitude = LONGITUDE + math.degrees(east / EARTH) / math.cos(math.radians(LATITUDE))
         return STATE.pack(
             time,
-            *to_frd(sample.body_rate),
+            *flu_from_frd(sample.body_rate),
             *-sample.specific_force,
-            *ned_attitude(sample.q_xyzw),
+            *ned_frd_from_enu_flu(sample.q_xyzw),
             *motion.velocity,
             longitude,
             LATITUDE + math.degrees(north / EARTH),

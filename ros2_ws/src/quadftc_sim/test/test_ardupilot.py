@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from quadftc_model.frames import ned_frd_from_enu_flu
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.ardupilot import ArduPilotPhysics, read_servos, rotor_speeds
 from quadftc_sim.ardupilot_backend_node import ArduPilotBackendNode
 from quadftc_sim.assembly import injection_from, simulator_from
-from quadftc_sim.autopilot import ned_attitude
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.sensors import GRADES
 from wired_node import Wired
@@ -78,7 +78,7 @@ def test_pulses_ask_for_speeds_that_the_rotors_have():
 @given(st.tuples(*[st.floats(-1.5, 1.5)] * 3))
 def test_attitude_turns_to_the_axes_of_ardupilot(angles):
     ours = quaternion_from_euler(np.array(angles))
-    w, *xyz = ned_attitude(ours)
+    w, *xyz = ned_frd_from_enu_flu(ours)
     expected = NED_OF_ENU @ Rotation.from_quat(ours).as_matrix() @ FRD_OF_FLU
     np.testing.assert_allclose(Rotation.from_quat([*xyz, w]).as_matrix(), expected, atol=1e-12)
 

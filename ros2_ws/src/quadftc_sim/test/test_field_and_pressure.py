@@ -13,7 +13,7 @@ from quadftc_sim.barometer import (
     SEA_LEVEL,
     Barometer,
     PressureInputs,
-    pressure_height,
+    standard_height,
     standard_pressure,
 )
 from quadftc_sim.magnetometer import MAGNETOMETER_GRADES, FieldInputs, Magnetometer
@@ -33,7 +33,7 @@ def measured(law, q_xyzw):
 @pytest.mark.parametrize(("height", "pressure"), [(0.0, 101325.0), (1000.0, 89874.6), (5000.0, 54019.9)])
 def test_the_pressure_is_that_of_the_standard_atmosphere(height, pressure):
     assert standard_pressure(height) == pytest.approx(pressure, rel=1e-5)  # table of ICAO Doc 7488
-    assert pressure_height(standard_pressure(height)) == pytest.approx(height, abs=1e-6)
+    assert standard_height(standard_pressure(height)) == pytest.approx(height, abs=1e-6)
 
 
 def test_level_and_facing_east_the_field_is_that_of_the_earth():
@@ -92,7 +92,7 @@ def test_they_measure_at_their_rates_and_change_no_other_sensor():
 def test_the_height_is_known_to_the_noise_of_the_barometer():
     noise = 1.2  # Pa; 0.1 m
     emissions = fly(barometer=Barometer(rate=250.0, noise=noise, altitude=400.0))
-    heights = np.array([pressure_height(each.pressure) - 400.0 for each in emissions])
+    heights = np.array([standard_height(each.pressure) - 400.0 for each in emissions])
     errors = heights - [each.flight.position[2] for each in emissions]
     assert abs(np.mean(errors)) < 0.04
     assert np.std(errors) == pytest.approx(noise / 11.5, rel=0.3)  # 11.5 Pa/m at 400 m

@@ -13,8 +13,9 @@ from collections.abc import Callable, Mapping
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_control.trajectory import combined
+from quadftc_model.frames import enu_from_ned
 from quadftc_model.samples import PositionReference
-from quadftc_sim.autopilot import to_degrees, to_ned
+from quadftc_sim.autopilot import to_degrees
 from quadftc_sitl.commander import COMES_DOWN, RETRY, TRIES, Commander, Steps
 from quadftc_sitl.firmware import SitlError
 from quadftc_sitl.guardian import Decision
@@ -241,7 +242,7 @@ class Pilot(Commander):
         wanted = self.reference(self.journal.now)
         offset = [float(self._first.position[0]), float(self._first.position[1]), 0.0]
         place, speed, push = (
-            to_ned(vector).tolist()
+            enu_from_ned(vector).tolist()
             for vector in (wanted.position - offset, wanted.velocity, wanted.acceleration)
         )
         self._link.fly_to(self.journal.now, place, speed, push, 0.5 * math.pi - float(wanted.yaw))

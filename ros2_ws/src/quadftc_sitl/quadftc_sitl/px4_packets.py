@@ -19,6 +19,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from quadftc_model.arrays import Vector
+from quadftc_model.frames import enu_from_ned, flu_from_frd
 from quadftc_model.samples import ImuSample, PositionSample
 from quadftc_sim.autopilot import (
     AutopilotPhysics,
@@ -26,10 +27,8 @@ from quadftc_sim.autopilot import (
     MakeSimulator,
     speeds_of_shares,
     to_degrees,
-    to_frd,
-    to_ned,
 )
-from quadftc_sim.barometer import pressure_height, standard_pressure
+from quadftc_sim.barometer import standard_height, standard_pressure
 from quadftc_sim.simulator import Emission
 from quadftc_sitl.autopilot import Server
 from quadftc_sitl.firmware import Firmware, SitlError
@@ -98,11 +97,11 @@ class PX4Physics(AutopilotPhysics):
         stamp, updated = round(1e6 * (time + BOOT)), IMU_FIELDS
         self._stamp = stamp
         if emission.field is not None:
-            self._field, updated = GAUSS * to_frd(emission.field), updated | FIELD_FIELDS
+            self._field, updated = GAUSS * flu_from_frd(emission.field), updated | FIELD_FIELDS
         if emission.pressure is not None:
             self._pressure, updated = emission.pressure, updated | PRESSURE_FIELDS
-        motion = (*to_frd(sample.specific_force), *to_frd(sample.body_rate), *self._field)
-        air = HECTOPASCAL * self._pressure, 0.0, pressure_height(self._pressure), TEMPERATURE
+        motion = (*flu_from_frd(sample.specific_force), *flu_from_frd(sample.body_rate), *self._field)
+        air = HECTOPASCAL * self._pressure, 0.0, standard_height(self._pressure), TEMPERATURE
         units = [updated, *[IMU_FIELDS] * (IMUS - 1)]
         sensors = [
             self._mavlink.hil_sensor_encode(stamp, *motion, *air, fields, unit).pack(self._mavlink)
@@ -115,7 +114,7 @@ class PX4Physics(AutopilotPhysics):
     def _position(self, stamp: int, place: PositionSample) -> bytes:
         """Write what the position sensor says."""
         east, north, up = map(float, place.position)
-        velocity = 1e2 * to_ned(place.velocity)
+        velocity = 1e2 * enu_from_ned(place.velocity)
         where = (
             *(round(1e7 * each) for each in to_degrees(HOME, east, north)),
             round(1e3 * (HOME[2] + up)),

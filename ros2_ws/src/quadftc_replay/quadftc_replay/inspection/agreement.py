@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from quadftc_model.rotations import quaternion_product
+from quadftc_model.rotations import rotation_between
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.whitening import GAP, TO_SIGMA, Floats, Mask
 
@@ -52,7 +52,7 @@ def compare(attitude: Signal, gyro: Signal) -> Agreement | None:
     steps = np.diff(gyro_time)
     turning = Signal(gyro_time, rates)
     at, rate = turning.integral().at(time), turning.at(time)
-    dt, theta, turn = np.diff(time), np.diff(at, axis=0), _turns(q)
+    dt, theta, turn = np.diff(time), np.diff(at, axis=0), rotation_between(q[:-1], q[1:])
     usual = float(np.median(dt))
     jumps = np.concatenate([[0.0], (steps > max(5.0 * float(np.median(steps)), 0.05)) * 1.0]).cumsum()
     dark = np.diff(np.interp(time, gyro_time, jumps)) > 0.0
@@ -87,16 +87,6 @@ def _thinned(attitude: Signal, start: float, gyro_time: Floats) -> tuple[Floats,
     rate = min(FASTEST, 1.0 / float(np.median(np.diff(gyro_time)))) if len(gyro_time) > 1 else FASTEST
     stride = max(1, round(attitude.rate / rate)) if rate > 0.0 else 1
     return time[::stride], q[::stride]
-
-
-def _turns(q: Floats) -> Floats:
-    """Rotation vectors between attitudes (n, 4) in body axes (n - 1, 3)."""
-    back = q[:-1] * np.array([-1.0, -1.0, -1.0, 1.0])
-    turn = quaternion_product(back, q[1:])
-    turn *= np.where(turn[:, 3:] < 0.0, -1.0, 1.0)
-    size = np.linalg.norm(turn[:, :3], axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(size, turn[:, 3:])
-    return turn[:, :3] * np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
 
 
 def _fit(difference: Floats, theta: Floats, change: Floats, dt: Floats, good: Mask) -> tuple[Floats, Floats]:

@@ -46,7 +46,6 @@ class Inspection(NamedTuple):
     verdict: Verdict
     found: tuple[Found, ...]  # in the order of the verdict's findings
     flight: Flight
-    agreement: Agreement | None
 
 
 class _Inspection:
@@ -101,7 +100,7 @@ def inspect(
     verdict = make_verdict(
         flight, baseline, ending, found, follows, inspection.judged, inspection.missing, rotors.model
     )
-    return Inspection(verdict, tuple(found), flight, agreement)
+    return Inspection(verdict, tuple(found), flight)
 
 
 def _gyros(flight: Flight) -> dict[str, Signal]:

@@ -80,17 +80,12 @@ def _without_lever(flight: Flight, difference: Signal) -> Signal:
         return difference
     time, value = difference
     rates = np.nan_to_num(flight.gyro[1].at(time))
-    turning = _cross(np.gradient(rates, time, axis=0)) + _cross(rates) @ _cross(rates)
+    moves = np.gradient(rates, time, axis=0), rates
+    faster, across = (np.cross(each[:, None], np.eye(3)).swapaxes(1, 2) for each in moves)  # matrices of w x
+    turning = faster + across @ across
     constant = np.broadcast_to(np.eye(3), turning.shape)
     found, _ = robust_fit(np.concatenate([turning, constant], axis=2).reshape(-1, 6), value.ravel())
     return Signal(time, value - turning @ found[:3])
-
-
-def _cross(values: Floats) -> Floats:
-    """Matrices (n, 3, 3) that multiply as the vectors (n, 3) do in a cross product."""
-    x, y, z = values.T
-    none = np.zeros(len(values))
-    return np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3)
 
 
 def _along(

@@ -39,8 +39,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadftc_model.frames import enu_from_ned, flu_from_frd
-from quadftc_model.rotations import quaternion_from_euler
+from quadftc_model.frames import enu_flu_from_ned_frd_angles, enu_from_ned, flu_from_frd
 from quadftc_replay.dataflash import DataflashLog, read_dataflash, text_of
 from quadftc_replay.dataflash_text import read_dataflash_text
 from quadftc_replay.flight_log import FlightLog
@@ -173,9 +172,8 @@ def _add_sensors(
 def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
     attitudes = (first_of(messages.get(name), "Roll", "Pitch", "Yaw") for name in ("ATT", "ANG"))
     if table := max(filter(None, attitudes), key=lambda each: len(each["TimeUS"]), default=None):
-        roll, pitch, yaw = DEGREE * columns(table, ("Roll", "Pitch", "Yaw")).T
-        angles = np.stack([roll, -pitch, math.pi / 2 - yaw], axis=-1)
-        signals.add("attitude", stamps_of(table), quaternion_from_euler(angles), "attitude")
+        attitude = enu_flu_from_ned_frd_angles(DEGREE * columns(table, ("Roll", "Pitch", "Yaw")))
+        signals.add("attitude", stamps_of(table), attitude, "attitude")
     for name in ESTIMATES:
         if table := _of_primary(messages, name, "PN", "PE", "PD", "VN", "VE", "VD"):
             for field, letter in (("position", "P"), ("velocity", "V")):

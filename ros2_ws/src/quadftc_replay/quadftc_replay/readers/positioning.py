@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from quadftc_replay.flight_log import Floats
 from quadftc_replay.readers.signals import Signals, Stamps
+from quadftc_sim.barometer import standard_height
 
 SEMI_MAJOR, ECCENTRICITY_SQUARED = 6_378_137.0, 6.694379990e-3  # m, 1; of WGS 84
-SEA_LEVEL, SCALE_HEIGHT, EXPONENT = 101_325.0, 44_330.77, 0.190263  # Pa, m, 1; of the standard atmosphere
 IN_SPACE = 3  # fix with which a position has a height, as NMEA and MAVLink count
 
 
@@ -68,5 +68,4 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
 def pressure_height(pressure: ArrayLike) -> Floats:
     """Return the height [m] of a pressure [Pa]; NaN where it is none."""
     value = np.asarray(pressure, np.float64)
-    share = np.where(value > 0.0, value, np.nan) / SEA_LEVEL
-    return SCALE_HEIGHT * (1.0 - share**EXPONENT)
+    return np.asarray(standard_height(np.where(value > 0.0, value, np.nan)))

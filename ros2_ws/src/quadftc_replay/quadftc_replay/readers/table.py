@@ -33,7 +33,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from quadftc_bags.bag import BagError
-from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
+from quadftc_model.frames import enu_flu_from_ned_frd, enu_flu_from_ned_frd_angles, enu_from_ned, flu_from_frd
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.small_files import read_toml
@@ -78,8 +78,7 @@ def _attitude_of_ned(value: Floats) -> Floats:
     """Attitude FLU to ENU of one FRD to NED: a quaternion x, y, z, w or roll, pitch, yaw."""
     if value.shape[1] == 4:
         return enu_flu_from_ned_frd(value[:, [3, 0, 1, 2]])
-    roll, pitch, yaw = value.T
-    return quaternion_from_euler(np.stack([roll, -pitch, math.pi / 2.0 - yaw], axis=-1))
+    return enu_flu_from_ned_frd_angles(value)
 
 
 def _attitude_of_enu(value: Floats) -> Floats:

@@ -36,8 +36,7 @@ from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
 from quadftc_model.arrays import AnyArray
-from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
-from quadftc_model.rotations import quaternion_from_euler
+from quadftc_model.frames import enu_flu_from_ned_frd, enu_flu_from_ned_frd_angles, enu_from_ned, flu_from_frd
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.dataflash import text_of
 from quadftc_replay.flight_log import FlightLog
@@ -178,8 +177,7 @@ def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
     if name := max(there, key=lambda each: len(messages[each][RECEIVED]), default=""):
         table = messages[name]
         if name == "ATTITUDE":
-            roll, pitch, yaw = columns(table, ("roll", "pitch", "yaw")).T
-            value = quaternion_from_euler(np.stack([roll, -pitch, math.pi / 2.0 - yaw], axis=-1))
+            value = enu_flu_from_ned_frd_angles(columns(table, ("roll", "pitch", "yaw")))
         else:
             value = enu_flu_from_ned_frd(columns(table, ("q1", "q2", "q3", "q4")))
         signals.add("attitude", stamps_of(table), value, name)

@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
+from quadftc_model.frames import enu_from_ned, flu_from_frd, ned_frd_from_enu_flu
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.readers.ulog import FIRST_MOTOR, INVALID_TIME, MAX_MOTORS, ROTORS_OF_TYPE
 from quadftc_replay.readers.ulog_navigation import MILLIGAUSS
@@ -207,8 +207,7 @@ def _add_imu(writer: UlogWriter, log: FlightLog) -> None:
 def _add_states(writer: UlogWriter, log: FlightLog) -> None:
     if log.attitude is not None:
         attitude = thin(log.attitude, RATES["vehicle_attitude"])
-        turned = enu_flu_from_ned_frd(attitude.value[:, [3, 0, 1, 2]])  # its own way back
-        _put(writer, "vehicle_attitude", attitude, {"float[4] q": turned[:, [3, 0, 1, 2]]})
+        _put(writer, "vehicle_attitude", attitude, {"float[4] q": ned_frd_from_enu_flu(attitude.value)})
     if log.velocity is not None and log.position is not None:
         velocity = thin(log.velocity, RATES["vehicle_local_position"])
         names = ("x y z", "vx vy vz", "ax ay az")
