@@ -52,6 +52,13 @@ def test_what_a_faulty_gyro_has_taught_is_not_blamed_on_the_attitude():
     assert verdict.error_deg < 10.0
 
 
+@pytest.mark.parametrize(("seed", "number"), [(2323, 377), (2323, 391), (2423, 662)])
+def test_what_a_wrong_inertia_does_to_torques_is_nobodys_fault(seed, number):
+    verdict = [*flights_of("which_sensor_healthy", seed, number + 1)][-1].judge("bank")
+    assert not verdict.alarms
+    assert verdict.error_deg < 2.0
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("observer", OBSERVERS)
 def test_observer_says_everywhere_what_is_stored(observer):

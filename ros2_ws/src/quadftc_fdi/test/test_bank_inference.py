@@ -365,6 +365,32 @@ def test_a_rate_that_nothing_corrects_is_hardly_known_but_known():
     assert np.all(np.isfinite(known))
 
 
+def test_a_gyro_does_not_correct_its_own_scale_but_counts_how_vague_it_is():
+    """The covariance is that of a gain which leaves the scale alone (Joseph's form)."""
+    rng, rate = np.random.default_rng(3), np.array([0.5, -0.3, 0.8])
+    roots = 0.01 * rng.normal(size=(3, motion.STATES, motion.STATES))
+    before = motion.start_motion(LEVEL, rate, NOISE)._replace(covariance=roots @ roots.swapaxes(-1, -2))
+    after, seen = motion.take_gyro(before, rate + 1e-4, NOISE.gyro, THERE)
+    assert np.array_equal(after.scale, before.scale)
+    for axis in range(3):
+        H = np.zeros(motion.STATES)
+        H[[BETA, OMEGA]], H[motion.SCALE] = 1.0, rate
+        P, R, kept = before.covariance[axis], NOISE.gyro[axis], np.eye(motion.STATES)
+        K = P @ H / (H @ P @ H + R)
+        K[motion.SCALE] = 0.0
+        np.testing.assert_allclose(seen.gain[axis], K, rtol=1e-9, atol=1e-15)
+        expected = (kept - np.outer(K, H)) @ P @ (kept - np.outer(K, H)).T + R * np.outer(K, K)
+        np.testing.assert_allclose(after.covariance[axis], expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("learned", "doubt"), [(11.0, 3.0), (13.0, hypotheses.DOUBT)])
+def test_hypotheses_follow_the_temper_until_the_last_ring_is_full(learned, doubt):
+    bank = one_onset(hypotheses.start_bank(np.zeros(3)), now=True)
+    loud = bank._replace(temper=np.full_like(bank.temper, 3.0), learned=np.full_like(bank.learned, learned))
+    after = inference.learn_temper(loud, np.ones((2, 3), bool), 0.0)
+    assert np.array_equal(after.doubt, np.full_like(bank.doubt, doubt))
+
+
 def test_what_a_faulty_gyro_has_taught_of_its_scale_is_forgotten():
     taught = motion.start_motion(LEVEL, np.zeros(3), NOISE)
     taught = taught._replace(scale=np.full((3, 3), 0.2), covariance=0.1 * taught.covariance + 1e-9)

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.bank.hypotheses import LOWEST, OF_GYRO, RETURNS, RING, SLOTS, TESTS, USUAL, Bank
+from quadftc_fdi.bank.hypotheses import LOWEST, OF_GYRO, RETURNS, RING, SLOTS, SPACING, TESTS, USUAL, Bank
 from quadftc_fdi.bank.modes import (
     AXIS,
     EFFECT,
@@ -189,4 +189,7 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     time = smaller(state.learned + step * enough, MEMORY)
     ratio = smaller(square / larger(usual, 0.5), CLIP * state.temper)
     news = step * enough / (SETTLE + time) * (ratio - state.temper)
-    return state._replace(temper=larger(state.temper + news, 1.0), learned=time)
+    # until the last ring is full, nobody knows how noisy old onsets are: hypotheses follow what is learned
+    temper, young = larger(state.temper + news, 1.0), time.max(axis=-1) < SPACING[-1] * SLOTS[-1]
+    doubt = where(young[..., None], larger(state.doubt, temper.max(axis=-1)[..., None]), state.doubt)
+    return state._replace(temper=temper, learned=time, doubt=doubt)

@@ -14,6 +14,8 @@ Each body axis has nine states:
 
 and three measurements, with white noise n: gyro = omega + beta + k omega + n, attitude = theta - tau omega +
 n, and roll and pitch on a test stand, where the accelerometer feels gravity: tilt = theta + lambda + n.
+The gyro does not correct its own k, whose variance counts (Schmidt 1966): against an inertia that is off, a
+healthy gyro has a wrong scale.
 An attitude that an estimator makes of the same gyro repeats the gyro's errors: there theta' = gyro - beta +
 w, and w holds what the estimator corrects. Axes are coupled in the mean alone, not in the covariance.
 """
@@ -51,6 +53,8 @@ from quadftc_model.rotations import earth_z_in_body, rotation_between, turn, wra
 from quadftc_model.samples import MAX_BODY_RATE, STANDARD_GRAVITY
 
 THETA, BETA, OMEGA, D, SCALE, LAG, LEAN, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8, 9
+NONE = np.zeros(STATES)
+IS_SCALE = 1.0 * np.isin(np.arange(STATES), np.arange(STATES)[SCALE])
 CORRELATED = 1.0  # s; chosen: T, as gusts last
 WALK = math.radians(0.003)  # rad/s/√s; chosen: of the bias of a MEMS gyro
 BIAS = math.radians(2.0)  # rad/s; chosen: of a MEMS gyro at the start
@@ -107,7 +111,7 @@ def unsettled(state: Motion, which: int, variance: Vector) -> Motion:
 
 def untaught(state: Motion, axes: Mask) -> Motion:
     """Forget scale and alignment of gyros (..., 3): what a faulty one reads tells of its fault."""
-    own = np.isin(np.arange(STATES), np.arange(STATES)[SCALE])
+    own = IS_SCALE > 0.0
     start = SCALES**2 * np.diag(1.0 * own)
     P = where(column(column(axes)) & (own | own[:, None]), start, state.covariance)
     return state._replace(scale=where(column(axes), 0.0, state.scale), covariance=P)
@@ -178,7 +182,7 @@ def take_gyro(state: Motion, gyro: Vector, noise: Vector, used: Mask) -> tuple[M
     P, rate = state.covariance, state.rate[..., None, :]
     across = P[..., BETA, :] + P[..., OMEGA, :] + (P[..., SCALE, :] * rate[..., None]).sum(axis=-2)  # P H'
     own = across[..., BETA] + across[..., OMEGA] + (across[..., SCALE] * rate).sum(axis=-1)
-    return _correct(state, 0, gyro_error(state, gyro), across, own + noise, used)
+    return _correct(state, 0, gyro_error(state, gyro), across, own + noise, used, IS_SCALE)
 
 
 def gyro_error(state: Motion, gyro: Vector) -> Vector:
@@ -192,7 +196,7 @@ def take_attitude(state: Motion, q_xyzw: Quaternion, noise: Vector, used: Mask) 
     across = state.covariance[..., THETA, :] - state.covariance[..., LAG, :] * column(state.rate)
     own = across[..., THETA] - across[..., LAG] * state.rate
     noise = noise + (JITTER * norm(state.rate)) ** 2
-    return _correct(state, 1, innovation, across, own + noise, used)
+    return _correct(state, 1, innovation, across, own + noise, used, NONE)
 
 
 def take_tilt(state: Motion, force: Vector, noise: Vector, used: Mask) -> tuple[Motion, Gains]:
@@ -204,21 +208,29 @@ def take_tilt(state: Motion, force: Vector, noise: Vector, used: Mask) -> tuple[
     innovation = cross(stacked([x, y, vertical[..., 2]]), vertical) - state.lean
     across = state.covariance[..., THETA, :] + state.covariance[..., LEAN, :]
     own = across[..., THETA] + across[..., LEAN] + column(largest(noise)) / STANDARD_GRAVITY**2
-    return _correct(state, 2, innovation, across, own, used & np.array([True, True, False]))
+    return _correct(state, 2, innovation, across, own, used & np.array([True, True, False]), NONE)
 
 
 def _correct(
-    state: Motion, sensor: int, innovation: Vector, across: Array, variance: Vector, used: Mask
+    state: Motion,
+    sensor: int,
+    innovation: Vector,
+    across: Array,
+    variance: Vector,
+    used: Mask,
+    kept: Array,
 ) -> tuple[Motion, Gains]:
+    """Correct the motion by an innovation, but for the states that are ``kept`` (9,): 1 there."""
     loud = state.loud[..., sensor, :]
     bound = innovation * innovation / (LOUD * exp(LOUDER * larger(loud - SEVERAL, 0.0)))
     variance = larger(variance, SMALL)
     louder = where(bound > variance, loud + 1.0, larger(loud - 1.0, 0.0))
     own = np.eye(3)[sensor][:, None] * column(used).swapaxes(-1, -2)
     variance = larger(variance, bound)
-    gain = where(column(used), across / column(variance), 0.0)
+    best = where(column(used), across / column(variance), 0.0)
+    gain = best * (1.0 - kept)
     moved = moved_by(state, gain * column(innovation))
-    P = state.covariance - gain[..., :, None] * across[..., None, :]
+    P = state.covariance - best[..., :, None] * across[..., None, :] * (1.0 - kept[:, None] * kept)
     heard = state.loud + own * (louder - loud)[..., None, :]
     return moved._replace(covariance=P, loud=heard), Gains(innovation, variance, gain, used)
 
