@@ -383,12 +383,17 @@ def test_a_gyro_does_not_correct_its_own_scale_but_counts_how_vague_it_is():
         np.testing.assert_allclose(after.covariance[axis], expected, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize(("learned", "doubt"), [(11.0, 3.0), (13.0, hypotheses.DOUBT)])
-def test_hypotheses_follow_the_temper_until_the_last_ring_is_full(learned, doubt):
+@pytest.mark.parametrize(
+    ("age", "learned", "follows"),
+    [(4.0, 7.0, True), (4.0, 9.0, False), (19.0, 11.0, True), (19.0, 13.0, False)],
+)
+def test_old_hypotheses_follow_the_temper_until_the_last_ring_is_full(age, learned, follows):
+    """Old: more than half of what was learned is later."""
     bank = one_onset(hypotheses.start_bank(np.zeros(3)), now=True)
+    bank = bank._replace(age=np.where(bank.age < 0.0, hypotheses.NEVER, age))
     loud = bank._replace(temper=np.full_like(bank.temper, 3.0), learned=np.full_like(bank.learned, learned))
     after = inference.learn_temper(loud, np.ones((2, 3), bool), 0.0)
-    assert np.array_equal(after.doubt, np.full_like(bank.doubt, doubt))
+    assert (after.doubt[..., SLOT] == (3.0 if follows else hypotheses.DOUBT)).all()
 
 
 def test_what_a_faulty_gyro_has_taught_of_its_scale_is_forgotten():

@@ -169,13 +169,14 @@ def _returning(part: Array, best: list[Array]) -> Array:
     return xp.concatenate(rows, axis=-2)
 
 
-def disregard(state: Bank, attitude: Mask, gyro: Mask, alone: Mask) -> Bank:
+def disregard(state: Bank, attitude: Mask, gyro: Mask, untold: Mask) -> Bank:
     """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size.
 
-    Nor is there a scale of an attitude that is ``alone`` (..., 3), without a gyro to tell what it should be.
+    Nor is there a scale of an attitude that is ``untold`` (..., 3): the gyro that tells what it should read
+    is faulty, or was a second ago.
     """
     none = namespace(gyro).zeros_like(gyro)
-    as_kinds = [attitude, gyro, none, none, attitude, none, none, gyro, attitude | alone]
+    as_kinds = [attitude, gyro, none, none, attitude, none, none, gyro, attitude | untold]
     stuck = namespace(gyro).concatenate(as_kinds, axis=-1)
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 

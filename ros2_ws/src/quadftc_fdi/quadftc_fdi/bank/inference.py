@@ -189,7 +189,9 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     time = smaller(state.learned + step * enough, MEMORY)
     ratio = smaller(square / larger(usual, 0.5), CLIP * state.temper)
     news = step * enough / (SETTLE + time) * (ratio - state.temper)
-    # until the last ring is full, nobody knows how noisy old onsets are: hypotheses follow what is learned
-    temper, young = larger(state.temper + news, 1.0), time.max(axis=-1) < SPACING[-1] * SLOTS[-1]
-    doubt = where(young[..., None], larger(state.doubt, temper.max(axis=-1)[..., None]), state.doubt)
+    temper = larger(state.temper + news, 1.0)
+    # one that is older than what was learned before it follows what is learned, until the rings are full
+    unknown = smaller(2.0 * state.age.max(axis=-2), SPACING[-1] * SLOTS[-1])[..., None, None, :]
+    doubt = larger(state.doubt, temper.max(axis=-1)[..., None])
+    doubt = where(time.max(axis=-1)[..., None] < unknown, doubt, state.doubt)
     return state._replace(temper=temper, learned=time, doubt=doubt)

@@ -154,7 +154,8 @@ class BankObserver(FlightLaw):
         good = good_gyro, good_attitude
         seen = self._measure(state, imu, moved, without, levels, good, inputs.driven, dt)
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
-        bank, off = hypotheses.disregard(seen.bank, *stuck, state.gyro.faulty), seen.off
+        untold = state.gyro.faulty | (state.failed[..., :1] > 0.0)
+        bank, off = hypotheses.disregard(seen.bank, *stuck, untold), seen.off
         posterior, shares, p, named = self._infer(state, bank, beside, speaks, seen.tilt, inputs.driven)
         is_sure = named.any(axis=-1)
         believed, bank, age = branch(
