@@ -22,7 +22,7 @@ PARENTS = Path(__file__).resolve().parents
 ROOT = PARENTS[1]
 DATA = next((parent / "shared/data" for parent in PARENTS if (parent / "shared/data/broad").is_dir()), None)
 OBSERVERS = sorted(path.stem for path in STORED.glob("*.json"))
-SHARE = 12  # one trial in so many
+SHARE = 20  # one trial in so many
 FLOWN = [name for name in OBSERVERS if name != "supervised"]  # `isolating` has its judge within
 
 
