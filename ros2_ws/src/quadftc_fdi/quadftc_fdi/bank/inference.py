@@ -190,7 +190,7 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     ratio = smaller(square / larger(usual, 0.5), CLIP * state.temper)
     news = step * enough / (SETTLE + time) * (ratio - state.temper)
     temper = larger(state.temper + news, 1.0)
-    # one that is older than what was learned before it follows what is learned, until the rings are full
+    # a hypothesis older than what was learned before it follows what is learned, until the rings are full
     unknown = smaller(2.0 * state.age.max(axis=-2), SPACING[-1] * SLOTS[-1])[..., None, None, :]
     doubt = larger(state.doubt, temper.max(axis=-1)[..., None])
     doubt = where(time.max(axis=-1)[..., None] < unknown, doubt, state.doubt)

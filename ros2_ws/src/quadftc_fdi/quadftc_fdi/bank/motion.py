@@ -14,8 +14,8 @@ Each body axis has nine states:
 
 and three measurements, with white noise n: gyro = omega + beta + k omega + n, attitude = theta - tau omega +
 n, and roll and pitch on a test stand, where the accelerometer feels gravity: tilt = theta + lambda + n.
-The gyro does not correct its own k, whose variance counts (Schmidt 1966): against an inertia that is off, a
-healthy gyro has a wrong scale.
+The gyro does not correct its own k, whose variance counts (Schmidt 1966): by a torque over a wrong
+inertia a healthy gyro seems to have a wrong scale.
 An attitude that an estimator makes of the same gyro repeats the gyro's errors: there theta' = gyro - beta +
 w, and w holds what the estimator corrects. Axes are coupled in the mean alone, not in the covariance.
 """
