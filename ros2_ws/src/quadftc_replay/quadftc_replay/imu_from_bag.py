@@ -62,14 +62,14 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
     kept = imu_recording.keep_good_stamps(imu.stamp_ns, imu.log_time_ns, where, skip_backwards)
     samples, absences = imu_recording.clean_samples(_samples(imu, kept.rows), kept.stamp_ns, where)
     messages = [data for _, _, data in bag.messages([name])]
-    passed_on = {UNTOUCHED: SerializedTopic(IMU, kept.stamp_ns, [messages[k] for k in kept.rows.tolist()])}
+    passed_on = {UNTOUCHED: SerializedTopic(kept.stamp_ns, [messages[k] for k in kept.rows.tolist()])}
     # the torque that acted
     torque = np.zeros((len(kept.rows), 3))
     if torque_topic:
         commands = bag.series(torque_topic)
         torque = imu_recording.torque_before(kept.stamp_ns, commands.stamp_ns, commands["vector"])
         messages = [data for _, _, data in bag.messages([torque_topic])]
-        passed_on[TORQUE] = SerializedTopic(VECTOR, commands.stamp_ns, messages)
+        passed_on[TORQUE] = SerializedTopic(commands.stamp_ns, messages)
     faults, windows, events = _read_truth(bag, truth, namespace, kept.stamp_ns)
     cut = [f"{path}: cut short; read up to there{bag.remedy}"] if bag.truncated else []
     return Recording(

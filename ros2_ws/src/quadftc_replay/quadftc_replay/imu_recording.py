@@ -26,7 +26,6 @@ Stamps = NDArray[np.int64]
 class SerializedTopic(NamedTuple):
     """Messages as they stand in a bag."""
 
-    type_name: str
     stamp_ns: Stamps  # (n,)
     messages: list[bytes]  # n
 

@@ -1,4 +1,3 @@
-# pyright: basic
 """A replay as a rosbag2 bag that any ROS 2 tool opens, with a summary beside it.
 
 The topics are those of the graph, with its stamps: messages are stored under the time of their sample.
@@ -12,36 +11,31 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterable
 from itertools import repeat
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from rclpy.serialization import serialize_message
-from std_msgs.msg import Header
 
 from quadftc_bags.bag import BagError
 from quadftc_bags.bag_file import BagFile
 from quadftc_bags.bag_format import describe_topic
+from quadftc_flight.flight import onset_ns
+from quadftc_flight.loop_bag import CHUNK, Fields, Message, encoded, imu_fields
 from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY
 from quadftc_flight.run_files import RunError, prepare
-from quadftc_model.samples import FaultEstimate, ImuSample, level_sample
+from quadftc_model.samples import ImuSample
 from quadftc_replay.diagnose import Diagnosed, Progress, true_fault
-from quadftc_replay.imu_from_bag import CORRECTED, DATA, DROPPED, HEADER, IMU, UNTOUCHED, VECTOR
+from quadftc_replay.imu_from_bag import CORRECTED, DATA, DROPPED, UNTOUCHED
 from quadftc_replay.imu_recording import SerializedTopic, Stamps
 from quadftc_replay.plan import Replay, ReplayOptions, plan_replay
-from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnosis_wire import DiagnosisWire
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.topics import DIAGNOSIS, EARTH_FRAME, IMU_FRAME, TOPICS
+from quadftc_ros.topics import IMU_FRAME, TOPICS
 from quadftc_ros.versions import versions
-from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire
 from quadftc_sim.injection import TRUTH
 
-T = TypeVar("T")
-
-CHUNK = 1024 * 1024  # bytes
 DIAGNOSING = 0.85  # share of the work; the rest is writing
 STRIDE = 4096  # messages between two looks of the progress bar
 
@@ -54,7 +48,7 @@ def replay(
     The bag becomes the directory ``out/<recording>-<observer>``; ``force`` replaces an earlier one. If it
     cannot be written, or is there already, a RunError says so.
     """
-    follow = progress or (lambda share: None)
+    follow: Progress = progress or (lambda share: None)
     begin = time.perf_counter()
     plan = plan_replay(path, options)
     directory = out / plan.name
@@ -94,16 +88,15 @@ def _write(plan: Replay, diagnosed: Diagnosed, directory: Path, follow: Progress
     texts = {PARAMETERS: plan.parameter_file(), DESCRIPTION: plan.origin.description()}
     attachments = {name: text.encode() for name, text in texts.items()}
     bag = BagFile(directory, attachments, {"mode": "replay", **versions()}, "zstd", CHUNK)
-    topics = _topics(plan, diagnosed)
-    for name, topic in topics.items():
-        qos = topic_profile(TOPICS[name].qos, "realtime")
-        bag.add_topic(describe_topic(f"{plan.recording.namespace}{name}", topic.type_name, qos))
-    # in the order of the stamps, then of the topics, whose channels count from 1
-    stamps = np.concatenate([topic.stamp_ns for topic in topics.values()])
-    messages = [(channel, data) for channel, each in enumerate(topics.values(), 1) for data in each.messages]
+    messages: list[Message] = []
+    for channel, (name, topic) in enumerate(_topics(plan, diagnosed).items(), 1):
+        row = TOPICS[name]
+        qos = topic_profile(row.qos, "realtime")
+        bag.add_topic(describe_topic(f"{plan.recording.namespace}{name}", row.type_name, qos))
+        messages += zip(topic.stamp_ns.tolist(), repeat(channel), topic.messages)
+    messages.sort(key=itemgetter(0, 1))
     try:
-        for number, row in enumerate(np.argsort(stamps, kind="stable").tolist()):
-            (channel, data), stamp_ns = messages[row], int(stamps[row])
+        for number, (stamp_ns, channel, data) in enumerate(messages):
             bag.write(channel, stamp_ns, stamp_ns, data)
             if number % STRIDE == 0:
                 follow(number / len(messages))
@@ -120,39 +113,27 @@ def _topics(plan: Replay, diagnosed: Diagnosed) -> dict[str, SerializedTopic]:
     recording, rows, said = plan.recording, diagnosed.delivered, diagnosed.estimate
     every, given = recording.stamp_ns, recording.stamp_ns[rows]
     frame = f"{recording.namespace.lstrip('/')}{IMU_FRAME}"  # as the graph names it in a namespace
-    columns = said.fault, said.std_dev, said.state, said.onset_age
-    estimates = map(FaultEstimate, *(column[rows] for column in columns), repeat(level_sample()))
-    made = {
-        **(recording.passed_on or {UNTOUCHED: _encode_imu(every, recording.imu, frame)}),
-        DATA: _encode_imu(given, ImuSample(*(column[rows] for column in diagnosed.seen)), frame),
-        CORRECTED: _encode_imu(given, ImuSample(*(column[rows] for column in said.corrected)), frame),
-        "fault/status": _serialise("quadftc_msgs/msg/FaultStatus", given, FaultStatusWire(frame), estimates),
-        "fault/estimate": _serialise(VECTOR, given, VectorWire(EARTH_FRAME), said.fault[rows]),
-    }
+
+    def made_of(topic: str, stamp_ns: Stamps, fields: Fields) -> None:
+        frames = {"frame_id": frame} if TOPICS[topic].frame == IMU_FRAME else {}
+        made[topic] = SerializedTopic(stamp_ns, encoded(topic, stamp_ns, {**frames, **fields}))
+
+    made = {**recording.passed_on}
+    if not made:
+        made_of(UNTOUCHED, every, imu_fields(recording.imu._asdict()))
+    for topic, samples in ((DATA, diagnosed.seen), (CORRECTED, said.corrected)):
+        made_of(topic, given, imu_fields(ImuSample(*(column[rows] for column in samples))._asdict()))
+    status = {"state": said.state, "estimate": said.fault, "std_dev": said.std_dev}
+    status["onset_ns"] = onset_ns(every[:, None], said.onset_age)
+    made_of("fault/status", given, {name: column[rows] for name, column in status.items()})
+    made_of("fault/estimate", given, {"vector": said.fault[rows]})
     stamps = np.array([report.stamp_ns for report in diagnosed.reports], np.int64)
     write_report = DiagnosisWire(frame)
-    messages = [write_report(report) for report in diagnosed.reports]
-    made["diagnosis"] = SerializedTopic(DIAGNOSIS, stamps, messages)
+    made["diagnosis"] = SerializedTopic(stamps, [write_report(report) for report in diagnosed.reports])
     overlaid = {fault.injection.channel for fault in plan.faults}
     for channel, topic in TRUTH.items():
         if channel == "attitude" or channel in recording.faults or channel in overlaid:
-            wire = VectorWire(EARTH_FRAME if channel == "attitude" else frame)
-            made[topic] = _serialise(VECTOR, every, wire, true_fault(recording, diagnosed, channel))
+            made_of(topic, every, {"vector": true_fault(recording, diagnosed, channel)})
     if not rows.all():
-        made[DROPPED] = _serialise(HEADER, every[~rows], _dropped, repeat(frame, int((~rows).sum())))
+        made_of(DROPPED, every[~rows], {})
     return {topic: made[topic] for topic in TOPICS if topic in made}
-
-
-def _encode_imu(stamp_ns: Stamps, samples: ImuSample, frame: str) -> SerializedTopic:
-    return _serialise(IMU, stamp_ns, ImuWire(frame), map(ImuSample, *samples))
-
-
-def _dropped(stamp_ns: int, frame: str) -> bytes:
-    return serialize_message(Header(stamp=time_message(stamp_ns), frame_id=frame))
-
-
-def _serialise(
-    type_name: str, stamp_ns: Stamps, write: Callable[[int, T], bytes], values: Iterable[T]
-) -> SerializedTopic:
-    messages = [write(stamp, value) for stamp, value in zip(stamp_ns.tolist(), values, strict=True)]
-    return SerializedTopic(type_name, stamp_ns, messages)
