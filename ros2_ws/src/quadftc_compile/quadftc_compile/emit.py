@@ -12,7 +12,6 @@ wherever it stands.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 import math
 import re
@@ -25,7 +24,7 @@ from quadftc_compile.graph import VIEWS, Graph, Node, UntraceableError
 from quadftc_compile.layout import C_TYPES
 from quadftc_compile.operators import ELEMENTWISE, operate
 from quadftc_compile.plan import ADDRESSED, FEW, MANY, Plan, keeps_axes
-from quadftc_compile.text import Expression, Index, Indices, flat, variable
+from quadftc_compile.text import Expression, Index, Indices, flat, placed, variable
 from quadftc_model.arrays import AnyArray
 
 HELPERS = """\
@@ -75,11 +74,6 @@ def statement(*names: str, addressed: bool = False) -> Callable[[Statement], Sta
         return rule
 
     return add
-
-
-def _place_along(axis: int, place: int, at: Indices) -> list[Index]:
-    """Return indices with one that is known along an axis."""
-    return [Index(place) if k == axis else index for k, index in enumerate(at)]
 
 
 @dataclasses.dataclass
@@ -304,7 +298,7 @@ class Emitter:
         """Write a part of an array, from an offset along an axis on."""
 
         def put(at: Indices) -> str:
-            place = [index + (offset if k == axis else 0) for k, index in enumerate(at)]
+            place = placed(at, axis, at[axis] + offset)
             return self.put(storage, shape, place, self.at(part, at))
 
         self.each(part.shape, put)
@@ -330,10 +324,8 @@ class Emitter:
                 raise
             axis = names.index(joined.variable)
             for k in range(shape[axis]):
-                part = functools.partial(_place_along, axis, k)
-                self.each(
-                    [*shape[:axis], 1, *shape[axis + 1 :]], lambda at, part=part: statement(part(at)), True
-                )
+                part = [*shape[:axis], 1, *shape[axis + 1 :]]
+                self.each(part, lambda at, k=k: statement(placed(at, axis, Index(k))), True)
         finally:
             self._loops = outer
 
@@ -444,9 +436,7 @@ class Emitter:
             return self.at(x, [k * s + int(b) for k, s, b in zip(at, strides, starts, strict=True)])
         if node.op == "take":
             axis = params["axis"]
-            return self.at(
-                x, [self._taken(k, params["places"]) if a == axis else k for a, k in enumerate(at)]
-            )
+            return self.at(x, placed(at, axis, self._taken(at[axis], params["places"])))
         if node.op == "rev":
             turned = enumerate(zip(at, x.shape, strict=True))
             return self.at(x, [k * -1 + (n - 1) if a in params["dimensions"] else k for a, (k, n) in turned])
@@ -465,7 +455,7 @@ class Emitter:
         rest = at[axis].constant
         for part in node.operands:
             if rest < part.shape[axis]:
-                return self.at(part, [Index(rest) if k == axis else index for k, index in enumerate(at)])
+                return self.at(part, placed(at, axis, Index(rest)))
             rest -= part.shape[axis]
         raise AssertionError("index out of range")
 

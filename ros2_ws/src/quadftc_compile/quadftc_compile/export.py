@@ -17,7 +17,7 @@ import numpy as np
 from quadftc_compile.build import NO_TRACER, BuildError
 from quadftc_compile.fingerprint import tracer
 from quadftc_compile.layout import Layout, Leaf, leaves_of, numpy_type
-from quadftc_compile.program import Program, path_members, write_program
+from quadftc_compile.program import Program, nested, write_program
 from quadftc_compile.recipe import Recipe
 from quadftc_compile.samples import number_names, sample_columns
 from quadftc_compile.text import literal
@@ -142,13 +142,8 @@ def _common_parts(exported: Exported) -> dict[str, str]:
 
 def _numbers(exported: Exported) -> str:
     """Return the numbers of a law as a constant struct."""
-    tree: dict[str, Any] = {}
-    for path in exported.program.numbers:
-        part = tree
-        *parents, last = path_members(path)
-        for each in parents:
-            part = part.setdefault(each, {})
-        part[last] = number_at(exported.recipe.law, path)
+    law = exported.recipe.law
+    tree = nested({path: number_at(law, path) for path in exported.program.numbers})
     name, value = exported.name, _initial(tree, exported.real, 1)
     return (
         f'#include "{name}_numbers.h"\n\n#include <math.h>\n\n'

@@ -163,7 +163,8 @@ class _Builder:
         simple = self._simplified(op, operands, shape, dtype, params)
         if simple is not None:
             return simple
-        key = (op, *(id(each) for each in operands), shape, dtype.str, _frozen(params))
+        known = repr(sorted((key, repr(value)) for key, value in params.items()))
+        key = (op, *(id(each) for each in operands), shape, dtype.str, known)
         if key not in self._known:
             node = Node(op, tuple(operands), params, shape, dtype, source)
             self._known[key] = node
@@ -354,12 +355,8 @@ def view(op: str, values: Sequence[Any], params: Params) -> AnyArray:
         return x.transpose(params["permutation"])
     if op == "slice":
         strides = params["strides"] or (1,) * x.ndim
-        return x[
-            tuple(
-                slice(*each)
-                for each in zip(params["start_indices"], params["limit_indices"], strides, strict=True)
-            )
-        ]
+        ends = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+        return x[tuple(slice(*each) for each in ends)]
     if op == "rev":
         return np.flip(x, params["dimensions"])
     if op == "take":
@@ -382,10 +379,6 @@ def _needed(nodes: Sequence[Node], outputs: Iterable[Node]) -> list[Node]:
             kept.append(node)
             wanted.update(id(each) for each in node.operands)
     return kept[::-1]
-
-
-def _frozen(params: Params) -> str:
-    return repr(sorted((key, repr(value)) for key, value in params.items()))
 
 
 # what a primitive of JAX is here; other names stay as they are
@@ -418,23 +411,6 @@ def _broadcast(b: _Builder, x: list[Node], out: Shapes, source: Source | None, p
     if x[0].size == math.prod(shape):  # axes of length 1 come in
         return b.add("reshape", x, out[0], source, shape=shape)
     return b.add("broadcast_in_dim", x, out[0], source, shape=shape, broadcast_dimensions=places)
-
-
-@_rule("transpose")
-def _transpose(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
-    order = tuple(int(each) for each in params["permutation"])
-    return b.add("transpose", x, out[0], source, permutation=order)
-
-
-@_rule("slice")
-def _slice(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
-    start, limit, strides = (params[key] for key in ("start_indices", "limit_indices", "strides"))
-    return b.add("slice", x, out[0], source, start_indices=start, limit_indices=limit, strides=strides)
-
-
-@_rule("rev")
-def _rev(b: _Builder, x: list[Node], out: Shapes, source: Source | None, params: Params) -> Node:
-    return b.add("rev", x, out[0], source, dimensions=tuple(params["dimensions"]))
 
 
 @_rule("gather")

@@ -185,7 +185,7 @@ class Structs:
         key = json.dumps(layout)
         if key not in self.names:
             name = _unused(
-                f"{self._prefix}_{_snake(layout[1].split(':')[-1]) if layout[1] else wanted}", self._taken
+                f"{self._prefix}_{snake_case(layout[1].split(':')[-1]) if layout[1] else wanted}", self._taken
             )
             self.names[key] = name
             self.definitions.append(self._define(layout, name, comments))
@@ -231,7 +231,8 @@ def _unused(name: str, taken: set[str]) -> str:
     return unique
 
 
-def _snake(name: str) -> str:
+def snake_case(name: str) -> str:
+    """Return the last part of the name of a class as names are written in C."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name.rsplit(".", maxsplit=1)[-1]).lower()
 
 

@@ -203,7 +203,7 @@ class _Writer:
         self._name, self._law, self._real = name, law, real
         self._places = {path: k for k, path in enumerate(numbers)}
         self._used = list(used)
-        self._layout = with_real(_nest({path: numbers[path] for path in used}), self._code)
+        self._layout = with_real(_layout_of_part(nested({path: numbers[path] for path in used})), self._code)
         self._structs = Structs(name)
         self._declarations: list[str] = []
         self._bodies: list[str] = []
@@ -383,8 +383,8 @@ def _texts_of(layout: Layout, name: str) -> list[str]:
     return found
 
 
-def _nest(numbers: Mapping[str, Numbers]) -> Layout:
-    """Return the layout of a law's numbers: a struct for each part."""
+def nested(numbers: Mapping[str, Numbers]) -> dict[str, Any]:
+    """Return a law's numbers by the members of its struct of numbers: a mapping for each part."""
     inside: dict[str, Any] = {}
     for path, value in numbers.items():
         part = inside
@@ -392,13 +392,14 @@ def _nest(numbers: Mapping[str, Numbers]) -> Layout:
         for each in parents:
             part = part.setdefault(each, {})
         part[last] = value
+    return inside
 
-    def layout(part: object) -> Layout:
-        if isinstance(part, dict):
-            return ["tuple", "", [[name, layout(each)] for name, each in part.items()]]
-        return layout_of(part)
 
-    return layout(inside)
+def _layout_of_part(part: object) -> Layout:
+    """Return the layout of a part of a law's numbers: a struct for each mapping."""
+    if isinstance(part, dict):
+        return ["tuple", "", [[name, _layout_of_part(each)] for name, each in part.items()]]
+    return layout_of(part)
 
 
 def path_members(path: str) -> list[str]:

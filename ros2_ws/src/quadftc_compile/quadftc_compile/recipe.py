@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, cast
 
 import numpy as np
+
+from quadftc_compile.layout import snake_case
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,8 +88,4 @@ def recipe_of(law: Any, inputs: object, words: object = None, name: str = "") ->
 def name_of(law: object) -> str:
     """Return the name of a law in C: its attribute ``named_after`` says which part of it tells more."""
     after = getattr(law, "named_after", None)
-    return _snake(type(law).__name__) if after is None else name_of(after)
-
-
-def _snake(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+    return snake_case(type(law).__name__) if after is None else name_of(after)

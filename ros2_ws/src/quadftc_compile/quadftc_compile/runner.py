@@ -37,19 +37,10 @@ class Call:
         )
 
 
-class CState:
-    """A state of a law in the memory of C."""
-
-    __slots__ = ("memory",)
-
-    def __init__(self, memory: Memory) -> None:
-        self.memory = memory
-
-
 class CRunner:
     """Runs a compiled law; a `quadftc_model.stepper.Runner`.
 
-    A state is good for the next step; the one after that takes its memory.
+    A state is memory of C, good for the next step; the one after that takes it.
     """
 
     def __init__(self, law: object, library: Library) -> None:
@@ -57,7 +48,7 @@ class CRunner:
         entries = library.entries
         layout = entries["step"].arguments["before"]
         one, other = Memory(layout), Memory(layout)
-        self._states = CState(one), CState(other)
+        self._states = one, other
         shared = {"before": one, "after": other}
         self._init = Call(entries["init"], self._numbers, shared)
         self._step = Call(entries["step"], self._numbers, shared)
@@ -74,27 +65,27 @@ class CRunner:
         write_numbers(self._library, law, self._numbers)
         return True
 
-    def first(self, inputs: object) -> tuple[CState, Any]:
+    def first(self, inputs: object) -> tuple[Memory, Any]:
         """Return state and output at the first sample."""
         return self._begin(self._init, inputs)
 
-    def resumed(self, inputs: object, words: object) -> tuple[CState, Any]:
+    def resumed(self, inputs: object, words: object) -> tuple[Memory, Any]:
         """Return state and output at a sample from which the law resumes by last words."""
         if self._resumed is None:
             raise ValueError(f"{self._library.path.name}: this law does not resume")
         self._resumed.writers["words"](words)
         return self._begin(self._resumed, inputs)
 
-    def _begin(self, call: Call, inputs: object) -> tuple[CState, Any]:
+    def _begin(self, call: Call, inputs: object) -> tuple[Memory, Any]:
         call.writers["inputs"](inputs)
-        call.bound(after=self._states[0].memory)()
+        call.bound(after=self._states[0])()
         return self.step(self._states[0], inputs, 0.0)
 
-    def step(self, state: object, inputs: object, dt: float) -> tuple[CState, Any]:
+    def step(self, state: object, inputs: object, dt: float) -> tuple[Memory, Any]:
         """Advance by ``dt`` [s] to a sample; a state may also be nested tuples."""
         one, other = self._states
         if state is not one and state is not other:
-            one.memory.write(state.memory.read() if isinstance(state, CState) else state)
+            one.write(self.tree(state))
             state = one
         self._write_inputs(inputs)
         self._write_dt(dt)
@@ -104,26 +95,26 @@ class CRunner:
         self._back()
         return one, self._read_output()
 
-    def run(self, state: object, inputs: object, dt: ArrayLike) -> tuple[CState, Any]:
+    def run(self, state: object, inputs: object, dt: ArrayLike) -> tuple[Memory, Any]:
         """Advance over many samples: inputs are nested tuples of arrays (count, ...); ``dt`` [s], too.
 
         An array without the first axis is the same at all samples. Return the state, outputs (count, ...).
         """
         entry, (one, other) = self._library.entries["step"], self._states
         if state is not one:
-            one.memory.write(self.tree(state))
+            one.write(self.tree(state))
         count = max(np.shape(dt)[0] if np.ndim(dt) else 0, *(_rows(inputs, entry.arguments["inputs"])), 0)
         given, times = Rows(entry.arguments["inputs"], count), Rows(entry.arguments["dt"], count)
         given.write(inputs)
         times.write(dt)
         made = Rows(entry.results["output"], count)
-        memories = (self._numbers, one.memory, other.memory, given, times, made)
+        memories = (self._numbers, one, other, given, times, made)
         entry.run(*(each.address for each in memories), count)
         return one, made.read()
 
     def tree(self, state: object) -> Any:
         """Return the nested tuples of a state: copies."""
-        return state.memory.read() if isinstance(state, CState) else state
+        return state.read() if isinstance(state, Memory) else state
 
 
 def _rows(tree: object, layout: Layout) -> list[int]:

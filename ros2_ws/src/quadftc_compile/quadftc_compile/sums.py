@@ -11,7 +11,7 @@ from quadftc_compile.emit import Emitter, JoinedError, Storage, statement
 from quadftc_compile.graph import VIEWS, Node
 from quadftc_compile.operators import BITS, combine
 from quadftc_compile.plan import FEW
-from quadftc_compile.text import Expression, Index, Indices, binary, variable
+from quadftc_compile.text import Expression, Index, Indices, binary, placed, variable
 
 WRITTEN_OUT = 16  # terms of a sum that are written out in one expression
 REDUCTIONS = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min"}
@@ -206,11 +206,8 @@ def accumulate(emitter: Emitter, node: Node, storage: Storage) -> None:
     others = [n if k != axis else 1 for k, n in enumerate(shape)]
     first = shape[axis] - 1 if backwards else 0
 
-    def along(at: Indices, index: Index) -> list[Index]:
-        return [index if k == axis else each for k, each in enumerate(at)]
-
     def start(at: Indices) -> str:
-        place = along(at, Index(first))
+        place = placed(at, axis, Index(first))
         return emitter.put(storage, shape, place, emitter.at(x, place))
 
     emitter.each(others, start)
@@ -220,8 +217,8 @@ def accumulate(emitter: Emitter, node: Node, storage: Storage) -> None:
     last = step + (1 if backwards else -1)
 
     def more(at: Indices) -> str:
-        so_far = Expression(emitter.place(storage, shape, along(at, last)))
-        place = along(at, step)
+        so_far = Expression(emitter.place(storage, shape, placed(at, axis, last)))
+        place = placed(at, axis, step)
         return emitter.put(storage, shape, place, combine(op, node.dtype, so_far, emitter.at(x, place)))
 
     emitter.each(others, more)
@@ -244,7 +241,7 @@ def find_extreme(emitter: Emitter, node: Node, storage: Storage) -> None:
         base = [place[k] for k in range(len(x.shape))]
         best = emitter.place(storage, node.shape, at)
         old = f"{emitter.place(source, x.shape, base)[:-1]} + {step} * {best}]"
-        new = emitter.at(x, [variable(name) if k == axis else place[k] for k in range(len(x.shape))]).text
+        new = emitter.at(x, placed(base, axis, variable(name))).text
         return f"if ({new} {sign} {old} || ({new} != {new} && {old} == {old})) {best} = {name};"
 
     emitter.each(node.shape, better)

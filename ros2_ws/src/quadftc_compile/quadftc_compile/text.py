@@ -125,6 +125,11 @@ def variable(name: str) -> Index:
     return Index(0, ((name, 1),))
 
 
+def placed(at: Indices, axis: int, place: Index) -> list[Index]:
+    """Return indices with another one along an axis."""
+    return [place if k == axis else index for k, index in enumerate(at)]
+
+
 def flat(shape: Sequence[int], at: Indices) -> Index:
     """Return where an element lies among all of an array."""
     place, step = Index(), 1

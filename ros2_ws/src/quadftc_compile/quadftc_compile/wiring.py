@@ -371,8 +371,8 @@ class Wiring:
             return alike(tree, [self._keep_like(each) for each in tree])
         if tree is None or isinstance(tree, StateToken):
             return tree
-        dtype, shape = (tree.dtype, tree.shape) if isinstance(tree, Token) else _array(tree)
-        return self._constant(np.zeros(shape, dtype))
+        array = tree if isinstance(tree, Token) else np.asarray(tree)
+        return self._constant(np.zeros(array.shape, array.dtype))
 
     def _layout(self, tree: object) -> Layout:
         if isinstance(tree, Token):
@@ -435,11 +435,6 @@ def _tokens(layout: Layout, address: int, stride: int) -> Any:
     """Return tokens for the arrays of a struct."""
     found = [Token(address + leaf.offset, stride, leaf.dtype, leaf.shape) for leaf in leaves_of(layout)]
     return unflatten(layout, iter(found))
-
-
-def _array(value: object) -> tuple[np.dtype, tuple[int, ...]]:
-    array = np.asarray(value)
-    return array.dtype, array.shape
 
 
 def _pairs(source: object, target: object) -> Iterator[tuple[Any, Any]]:
