@@ -121,7 +121,7 @@ def test_sliding_variable_is_within_its_layer_after_the_reaching_time(name, phi,
     times, angles, S, _ = flown(
         name, pushes=[push], duration=8.0, vehicle=DRAG_FREE, body_rate=blow, seen_at_start=ZEROS
     )
-    d = np.array([push.torque(time) / VEHICLE.inertia for time in times])
+    d = np.array([push.at(time) / VEHICLE.inertia for time in times])
     felt = euler_rates(angles, d)  # E(x1) d: what the angles feel of it
     eta = k_c3 - np.max(np.abs(felt), axis=0)
     assert np.all(eta > 0.0)

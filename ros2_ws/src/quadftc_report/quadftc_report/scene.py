@@ -183,7 +183,7 @@ def disturbance_marks(run: Recorded, axis: int, end: float) -> tuple[Mark, ...]:
 def _acts(law: Disturbance, axis: int, stop: float) -> bool:
     """Whether a disturbance gives a torque about an axis between its start and ``stop`` [s]."""
     times = law.start + np.arange(_INSTANTS) / _INSTANTS * (stop - law.start)
-    return any(float(law.torque(time)[axis]) != 0.0 for time in times)
+    return any(float(law.at(time)[axis]) != 0.0 for time in times)
 
 
 def _agree(run: Recorded, other: Recorded, column: str, axis: int) -> bool:

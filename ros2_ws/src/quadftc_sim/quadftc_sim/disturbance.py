@@ -1,4 +1,4 @@
-"""The interface of disturbances, torques on the body over scenario time, and their registry."""
+"""What acts on a vehicle for a time; the interface of disturbances, torques on the body, their registry."""
 
 from __future__ import annotations
 
@@ -12,21 +12,26 @@ from quadftc_model.registry import Registry
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Disturbance(Timed, abc.ABC):
-    """Base of all disturbances: they act from ``start`` to ``stop`` and are zero outside."""
+class Acting(Timed, abc.ABC):
+    """Base of what acts on the vehicle from ``start`` to ``stop`` and is zero outside."""
 
     start: float = parameter(0.0, unit="s", low=0.0, doc="onset, scenario time")
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="end, scenario time")
 
     @abc.abstractmethod
     def shape(self, elapsed: Column) -> Vector:
-        """Torque [N m] (..., 3), body frame, ``elapsed`` seconds (..., 1) after the onset."""
+        """Size (..., 3), ``elapsed`` seconds (..., 1) after the onset."""
 
-    def torque(self, time: Scalar) -> Vector:
-        """Torque [N m] (..., 3), body frame, at scenario time ``time`` [s] (...)."""
+    def at(self, time: Scalar) -> Vector:
+        """Size (..., 3) at scenario time ``time`` [s] (...)."""
         stamp = whole_nanoseconds(time)  # so that start and stop mean the same at whatever step
         acts = (self.start <= stamp) & (stamp < self.stop)
         return where(column(acts), self.shape(column(time - self.start)), 0.0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Disturbance(Acting):
+    """Base of all disturbances: their size is a torque [N m], body frame."""
 
 
 disturbances: Registry[Disturbance] = Registry(

@@ -98,7 +98,7 @@ class FlyingPlant(Plant):
 
     def wind(self, time: Scalar, like: Vector) -> Vector:
         """Velocity of the air at ``time`` [m/s], earth axes, shaped as ``like``."""
-        return sum((wind.velocity(time) for wind in self.winds), start=namespace(like).zeros_like(like))
+        return sum((wind.at(time) for wind in self.winds), start=namespace(like).zeros_like(like))
 
     def drag(self, state: FlightState, time: Scalar) -> Vector:
         """Drag of rotors and body [N], body axes:

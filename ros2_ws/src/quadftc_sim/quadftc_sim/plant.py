@@ -83,7 +83,7 @@ class Plant(Checked, abc.ABC):
     def disturbance(self, time: float, like: Vector) -> Vector:
         """Sum of the disturbance torques at ``time`` [N m], shaped as ``like``."""
         zeros = namespace(like).zeros_like(like)
-        return sum((disturbance.torque(time) for disturbance in self.disturbances), start=zeros)
+        return sum((disturbance.at(time) for disturbance in self.disturbances), start=zeros)
 
     def disturbance_acceleration(self, time: float, like: Vector) -> Vector:
         """Disturbance at ``time`` [rad/s²], shaped as ``like``: its torque over the true inertia."""

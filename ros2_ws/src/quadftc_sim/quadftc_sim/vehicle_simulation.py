@@ -121,8 +121,9 @@ class VehicleSimulation:
         rotors = healthy_rotors(command) if self.plant.flies else None
         return VehicleInputs(command, rotors, 0.0, 0.0, due, random.sample(due), random.first(due))
 
-    def begin(self, drawn: FirstDraws) -> VehicleState:
+    def init(self, inputs: VehicleInputs) -> VehicleState:
         """Return the state before the first sample."""
+        drawn = inputs.first_draws
         zeros = namespace(drawn.imu.uniform).zeros_like(drawn.imu.uniform)
         return VehicleState(
             self.plant.init(quaternion_from_euler(zeros), zeros),
@@ -131,10 +132,6 @@ class VehicleSimulation:
             None if self.magnetometer is None else self.magnetometer.init(drawn.field),
             None if self.barometer is None else self.barometer.init(drawn.pressure),
         )
-
-    def init(self, inputs: VehicleInputs) -> VehicleState:
-        """Return the state before the first sample."""
-        return self.begin(inputs.first_draws)
 
     def step(
         self, state: VehicleState, inputs: VehicleInputs, dt: float

@@ -62,10 +62,10 @@ def equations(plant, time, state, wanted):
     torque[2] += np.sum(rotors.yaw_sign * thrust) * rotors.yaw_gain / rotors.thrust_gain
     torque[2] -= rotors.rotor_inertia * np.sum(rotors.spin_sign * spin_up)
     momentum = np.array([0.0, 0.0, rotors.rotor_inertia * np.sum(rotors.spin_sign * speeds)])
-    torque += sum(each.torque(time) for each in plant.disturbances) - vehicle.rotational_drag * omega
+    torque += sum(each.at(time) for each in plant.disturbances) - vehicle.rotational_drag * omega
     inertia = plant.inertia
     omega_dot = (torque - np.cross(omega, inertia * omega + momentum)) / inertia
-    air = velocity - sum(each.velocity(time) for each in plant.winds)
+    air = velocity - sum(each.at(time) for each in plant.winds)
     relative = turn.T @ air
     body, flat = vehicle.aerodynamics, np.array([1.0, 1.0, 0.0])
     drag = -body.rotor_drag * np.sum(speeds) * flat * relative

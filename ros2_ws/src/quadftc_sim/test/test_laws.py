@@ -95,9 +95,8 @@ def test_every_rotor_fault_keeps_the_contract(kind):
     assert_contract(RotorsFault(injection), [sequence] * LANES)
 
 
-PUSHES = {disturbances: "torque", winds: "velocity"}  # what the laws of a registry say of times
 EVERY_PUSH = pytest.mark.parametrize(
-    ("registry", "kind"), [(each, kind) for each in PUSHES for kind in each.names()]
+    ("registry", "kind"), [(each, kind) for each in (disturbances, winds) for kind in each.names()]
 )
 
 
@@ -105,24 +104,23 @@ EVERY_PUSH = pytest.mark.parametrize(
 def test_every_disturbance_and_wind_is_the_same_for_many_times_and_in_jax_with_its_numbers_unknown(
     registry, kind
 ):
-    law, name = sized(registry, kind, start=2.0, stop=5.0), PUSHES[registry]
-    loop = np.array([getattr(law, name)(float(time)) for time in TIMES])
+    law = sized(registry, kind, start=2.0, stop=5.0)
+    loop = np.array([law.at(float(time)) for time in TIMES])
     assert (loop.shape, loop.dtype) == ((len(TIMES), 3), np.float64)
     assert np.all(np.isfinite(loop))
     assert np.any(loop != 0.0)
-    np.testing.assert_allclose(getattr(law, name)(TIMES), loop, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(law.at(TIMES), loop, rtol=1e-12, atol=1e-14)
     with jax.enable_x64(True):
-        unknown = jax.jit(lambda values, time: getattr(with_numbers(law, values), name)(time))
+        unknown = jax.jit(lambda values, time: with_numbers(law, values).at(time))
         np.testing.assert_allclose(unknown(numbers_of(law), TIMES), loop, rtol=1e-12, atol=1e-13)
 
 
 @EVERY_PUSH
 def test_disturbance_or_wind_acts_from_start_inclusive_to_stop_exclusive(registry, kind):
     law = sized(registry, kind, start=2.0, stop=3.0)
-    at = getattr(law, PUSHES[registry])
-    acting = [bool(np.any(at(time) != 0.0)) for time in (1.999, 2.001, 2.999, 3.0, 9.0)]
+    acting = [bool(np.any(law.at(time) != 0.0)) for time in (1.999, 2.001, 2.999, 3.0, 9.0)]
     assert acting == [False, True, True, False, False]
-    np.testing.assert_array_equal(at(2.0), law.shape(np.zeros(1)))
+    np.testing.assert_array_equal(law.at(2.0), law.shape(np.zeros(1)))
 
 
 @EVERY_PUSH
@@ -181,7 +179,7 @@ def test_every_vehicle_keeps_the_contract(grade, chosen):
 def test_vehicle_does_not_move_without_time(kind):
     law = vehicle(kind, "ideal")
     inputs = law.example()
-    motion = law.begin(inputs.first_draws).motion
+    motion = law.init(inputs).motion
     after = law.step(law.init(inputs), inputs, 0.0)[0].motion
     for before, now in zip(motion[:2], after[:2], strict=True):
         np.testing.assert_array_equal(now, before)

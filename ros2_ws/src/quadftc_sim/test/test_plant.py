@@ -59,7 +59,7 @@ def equations(plant, time, state, wanted):
     speeds = np.sqrt(thrust / rotors.thrust_coefficient)
     momentum = np.array([0.0, 0.0, rotors.rotor_inertia * np.sum(rotors.spin_sign * speeds)])
     torque += -np.cross(omega, momentum) - vehicle.rotational_drag * omega
-    torque += sum(disturbance.torque(time) for disturbance in plant.disturbances)
+    torque += sum(disturbance.at(time) for disturbance in plant.disturbances)
     inertia = vehicle.inertia * np.array(plant.inertia_factor)
     omega_dot = (torque - np.cross(omega, inertia * omega)) / inertia
     bandwidth = plant.motor_bandwidth or 1.0 / rotors.time_constant
@@ -143,6 +143,6 @@ def test_bandwidth_without_a_lag_is_refused():
 
 def test_disturbance_is_the_sum_of_its_parts():
     law = plant("qball_x4")
-    expected = law.disturbances[0].torque(0.7) + law.disturbances[1].torque(0.7)
+    expected = law.disturbances[0].at(0.7) + law.disturbances[1].at(0.7)
     np.testing.assert_array_equal(law.disturbance(0.7, np.zeros(3)), expected)
     assert dataclasses.replace(law, disturbances=()).disturbance(0.7, np.zeros(3)).tolist() == [0.0, 0.0, 0.0]

@@ -28,30 +28,28 @@ def dryden(**values):
 def test_wind_is_continuous_within_its_window(name):
     law = sized(name)
     time = np.arange(1e-6, 20.0, 1e-3)
-    step = np.abs(np.diff(law.velocity(time), axis=0)).max(axis=0)
-    finer = np.abs(law.velocity(time + 1e-6) - law.velocity(time)).max(axis=0)
+    step = np.abs(np.diff(law.at(time), axis=0)).max(axis=0)
+    finer = np.abs(law.at(time + 1e-6) - law.at(time)).max(axis=0)
     assert np.all(step < 0.2)
     assert np.all(finer < 2e-4)
 
 
 def test_constant_is_its_mean():
     law = build(winds.get("constant"), {"velocity_mean": [3.0, -2.0, 0.5]})
-    assert law.velocity(7.0).tolist() == [3.0, -2.0, 0.5]
+    assert law.at(7.0).tolist() == [3.0, -2.0, 0.5]
 
 
 def test_gust_rises_holds_and_falls_by_half_a_cosine():
     law = build(winds.get("gust"), {"amplitude": [4.0, 0.0, -2.0], "rise": 2.0, "hold": 3.0, "start": 1.0})
-    shares = (
-        np.array([law.velocity(time)[0] for time in (1.0, 1.5, 2.0, 3.0, 4.5, 6.0, 7.0, 8.0, 99.0)]) / 4.0
-    )
+    shares = np.array([law.at(time)[0] for time in (1.0, 1.5, 2.0, 3.0, 4.5, 6.0, 7.0, 8.0, 99.0)]) / 4.0
     quarter = 0.5 * (1.0 - math.cos(math.pi / 4.0))
     np.testing.assert_allclose(shares, [0.0, quarter, 0.5, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0], atol=1e-15)
-    np.testing.assert_allclose(law.velocity(3.5), [4.0, 0.0, -2.0])
+    np.testing.assert_allclose(law.at(3.5), [4.0, 0.0, -2.0])
 
 
 def test_gust_without_end_keeps_its_peak_as_the_specification_has_it():
     law = build(winds.get("gust"), {"amplitude": 3.0, "rise": 1.0, "hold": 1e9})
-    np.testing.assert_allclose(law.velocity(np.array([1.0, 50.0, 1e6])), 3.0)
+    np.testing.assert_allclose(law.at(np.array([1.0, 50.0, 1e6])), 3.0)
 
 
 def test_dryden_has_the_lengths_and_intensities_of_the_specification():
@@ -88,7 +86,7 @@ def test_dryden_has_its_standard_deviations_and_autocorrelations():
     """R_u = exp(-s), R_v,w = (1 - s / 2) exp(-s) with s = V t / L, against a long record."""
     law = dryden(height=5.0, history=7)
     dt = 0.05
-    wind = law.velocity(np.arange(0.0, 6000.0, dt))
+    wind = law.at(np.arange(0.0, 6000.0, dt))
     np.testing.assert_allclose(wind.std(axis=0), law.std_devs, rtol=0.03)
     np.testing.assert_allclose(wind.mean(axis=0), 0.0, atol=0.03 * law.std_devs[0])
     assert np.max(np.abs(np.corrcoef(wind.T) - np.eye(3))) < 0.03
@@ -103,29 +101,29 @@ def test_dryden_has_its_standard_deviations_and_autocorrelations():
 
 
 def test_dryden_has_its_standard_deviations_over_many_histories_from_the_start():
-    winds_at_start = np.array([dryden(history=n).velocity(0.0) for n in range(1000)])
+    winds_at_start = np.array([dryden(history=n).at(0.0) for n in range(1000)])
     np.testing.assert_allclose(winds_at_start.std(axis=0), dryden().std_devs, rtol=0.08)
     np.testing.assert_allclose(winds_at_start.mean(axis=0), 0.0, atol=0.15)
 
 
 def test_dryden_is_near_gaussian():
-    wind = dryden(height=5.0).velocity(np.arange(0.0, 6000.0, 0.05))
+    wind = dryden(height=5.0).at(np.arange(0.0, 6000.0, 0.05))
     kurtosis = np.mean(wind**4, axis=0) / np.var(wind, axis=0) ** 2
     np.testing.assert_allclose(kurtosis, 3.0, atol=0.2)
 
 
 def test_dryden_turns_with_its_direction():
-    along, turned = (dryden(history=3, direction=angle).velocity(4.0) for angle in (0.0, math.pi / 2.0))
+    along, turned = (dryden(history=3, direction=angle).at(4.0) for angle in (0.0, math.pi / 2.0))
     np.testing.assert_allclose(turned, [-along[1], along[0], along[2]], atol=1e-12)
 
 
 def test_dryden_passes_with_the_airspeed():
     slow, fast = dryden(history=3, airspeed=4.0), dryden(history=3, airspeed=8.0)
-    np.testing.assert_allclose(slow.velocity(10.0), fast.velocity(5.0), rtol=1e-9)
+    np.testing.assert_allclose(slow.at(10.0), fast.at(5.0), rtol=1e-9)
 
 
 def test_dryden_of_another_history_is_another_and_of_the_same_the_same():
-    first, again, other = (dryden(history=n).velocity(1.0) for n in (1, 1, 2))
+    first, again, other = (dryden(history=n).at(1.0) for n in (1, 1, 2))
     assert np.array_equal(first, again)
     assert np.all(first != other)
 

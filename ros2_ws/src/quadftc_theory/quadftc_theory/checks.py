@@ -180,7 +180,7 @@ def _disturbance(scenario: Scenario, time: Floats, rates: Floats) -> Floats:
     """
     torque = np.zeros((len(time), 3))
     for part in scenario.disturbances:
-        torque += np.array([part.law.torque(np.float64(moment)) for moment in time])
+        torque += np.array([part.law.at(np.float64(moment)) for moment in time])
     return (torque - scenario.plant.vehicle.rotational_drag * rates) / scenario.plant.inertia
 
 
