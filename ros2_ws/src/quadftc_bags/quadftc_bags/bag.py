@@ -46,7 +46,6 @@ class Series:
     type_name: str
     stamp_ns: NDArray[np.int64]  # (n,) the stamp each message begins with [ns]; the log time if it has none
     log_time_ns: NDArray[np.int64]  # (n,) when it was recorded [ns]
-    publish_time_ns: NDArray[np.int64]  # (n,) [ns]
     fields: Mapping[str, Column]  # (n, ...) each, units as in the message
 
     def __len__(self) -> int:
@@ -75,9 +74,8 @@ class TopicInfo:
     definition: Schema | None = None  # of the type
     messages: list[bytes] = field(default_factory=list[bytes])
     log_times: array[int] = field(default_factory=lambda: array("q"))  # [ns]
-    publish_times: array[int] = field(default_factory=lambda: array("q"))  # [ns]
 
-    def add(self, log_time: int, publish_time: int, data: memoryview, *, keep: bool) -> None:
+    def add(self, log_time: int, data: memoryview, *, keep: bool) -> None:
         """Count a message, and keep it if asked to."""
         self.first_ns = min(self.first_ns, log_time) if self.count else log_time
         self.last_ns = max(self.last_ns, log_time) if self.count else log_time
@@ -85,7 +83,6 @@ class TopicInfo:
         if keep:
             self.messages.append(bytes(data))
             self.log_times.append(log_time)
-            self.publish_times.append(publish_time)
 
     def decode(self) -> Arrays:
         """Return the fields of the messages that were kept; ValueError if they are of another type."""
@@ -146,14 +143,13 @@ class Bag:
             words = " ".join(str(error).split()) or type(error).__name__
             raise BagError(f"{self.path}: topic '{info.name}' cannot be decoded: {words}") from error
         log_time = np.array(info.log_times, np.int64)
-        publish_time = np.array(info.publish_times, np.int64)
         if bool(np.any(np.diff(log_time) < 0)):
             order = np.argsort(log_time, kind="stable")
-            log_time, publish_time = log_time[order], publish_time[order]
+            log_time = log_time[order]
             fields = {key: values[order] for key, values in fields.items()}
         first, stamp = next(iter(fields.items()), ("", log_time))
         stamp_ns = stamp if first.endswith("_ns") and stamp.ndim == 1 else log_time
-        return Series(info.name, info.type_name, stamp_ns, log_time, publish_time, fields)
+        return Series(info.name, info.type_name, stamp_ns, log_time, fields)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, int, bytes]]:
         """Yield (full name, log time [ns], serialised message) in the order of log time; default: of all."""
@@ -171,8 +167,9 @@ class Bag:
         channels: dict[int, TopicInfo | None] = {}
         for record in records:
             if isinstance(record, tuple):
-                if topic := channels.get(record[0]):
-                    topic.add(*record[1:], keep=keep)
+                channel, log_time, _publish_time, data = record
+                if topic := channels.get(channel):
+                    topic.add(log_time, data, keep=keep)
                 else:
                     self.left_out += 1
             elif isinstance(record, Schema):

@@ -32,9 +32,9 @@ class ColumnTopic(TopicInfo):
     damaged: int = 0  # messages that could not be decoded
     thinning: Thinning = field(default_factory=Thinning)
 
-    def add(self, log_time: int, publish_time: int, data: memoryview, *, keep: bool) -> None:
+    def add(self, log_time: int, data: memoryview, *, keep: bool) -> None:
         """Take a message, and decode the block when it is full."""
-        super().add(log_time, publish_time, data, keep=keep and self.thinning.keeps())
+        super().add(log_time, data, keep=keep and self.thinning.keeps())
         if len(self.messages) >= BLOCK:
             self.settle()
             if self.thinning.is_full():
@@ -50,7 +50,7 @@ class ColumnTopic(TopicInfo):
             except Exception:  # whatever the libraries find wrong with the definition or a message
                 self.damaged += len(self.messages)
         self.messages.clear()
-        del self.log_times[:], self.publish_times[:]
+        del self.log_times[:]
 
     def _decode_block(self) -> dict[str, AnyArray]:
         with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
