@@ -22,7 +22,7 @@ from ruamel.yaml import YAML, YAMLError
 from quadftc_bags.bag import Bag, TopicInfo
 from quadftc_bags.bag_file import BagFile, is_being_written
 from quadftc_bags.bag_format import TopicRecord
-from quadftc_bags.storage import BagError, bag_information, check_size, read_records
+from quadftc_bags.storage import BagError, bag_errors, bag_information, check_size, read_records
 
 CHUNK = 1024 * 1024  # bytes
 DEFINITIONS = ("ros2msg", "ros2idl")  # encodings of a type's definition that a bag may have
@@ -102,7 +102,7 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
     target = _target(path, out, force)
     if recorded and target in (path.resolve(), file.resolve().parent):
         raise BagError(f"{path}: is still being recorded; end that before the bag is replaced")
-    try:
+    with bag_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".repair_", dir=target.parent) as folder:
             made = Path(folder, target.name)
@@ -112,8 +112,6 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
                     if text.name != "metadata.yaml":
                         shutil.copyfile(text, made / text.name)
             _put(made, target)
-    except OSError as error:
-        raise BagError(f"{target}: {error.strerror or error}") from None
     return Repair(found, target, complaint, recorded)
 
 

@@ -23,7 +23,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import normalize_msgtype
 from rosbags.typesys.store import Typestore
 
-from quadftc_bags.storage import BagError, Damage, IsWanted, Message, Record
+from quadftc_bags.storage import BagError, Damage, IsWanted, Message, Record, bag_errors
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _LENGTH, _TIME = struct.Struct("<I"), struct.Struct("<II")
@@ -43,13 +43,10 @@ def read_ros1(path: Path, is_wanted: IsWanted) -> Iterator[Record]:
 
     What is damaged comes as a `Damage`. BagError if the file cannot be read or is no such bag.
     """
-    try:
-        with path.open("rb") as stream:
-            if stream.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
-                raise BagError(f"{path}: not a ROS 1 bag of version 2.0")
-            yield from _read_file(stream, _Topics(is_wanted))
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror or error}") from error
+    with bag_errors(path), path.open("rb") as stream:
+        if stream.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
+            raise BagError(f"{path}: not a ROS 1 bag of version 2.0")
+        yield from _read_file(stream, _Topics(is_wanted))
 
 
 class _Topics:

@@ -67,6 +67,15 @@ IsWanted: TypeAlias = Callable[[str, str], bool]  # by name and type of a topic
 Record: TypeAlias = Header | Schema | Channel | Attachment | Metadata | Message | Damage
 
 
+@contextlib.contextmanager
+def bag_errors(path: Path) -> Generator[None, None, None]:
+    """Make an OSError meanwhile a BagError on a path."""
+    try:
+        yield
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror or error}") from None
+
+
 def storage_files(path: Path) -> list[Path]:
     """Return the files of a bag in order, of a SQLite bag itself; BagError if one is missing or empty."""
     if not path.exists():
@@ -95,10 +104,8 @@ def storage_files(path: Path) -> list[Path]:
 
 def check_size(file: Path) -> int:
     """Return the size of a file [bytes]; BagError if it is empty."""
-    try:
+    with bag_errors(file):
         size = file.stat().st_size
-    except OSError as error:
-        raise BagError(f"{file}: {error.strerror}") from None
     if size == 0:
         raise BagError(f"{file}: empty file")
     return size
@@ -129,13 +136,10 @@ def read_records(path: Path) -> Iterator[Record]:
     A chunk with a wrong checksum and a missing end come as a `Damage`; what comes before and behind is good.
     BagError if the file cannot be read or is not MCAP.
     """
-    try:
-        with path.open("rb") as stream:
-            if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise BagError(f"{path}: not an MCAP file")
-            yield from _read_file(stream)
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror or error}") from error
+    with bag_errors(path), path.open("rb") as stream:
+        if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+            raise BagError(f"{path}: not an MCAP file")
+        yield from _read_file(stream)
 
 
 def _read_file(stream: BinaryIO) -> Iterator[Record]:

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bags.bag import BagError
+from quadftc_bags.storage import bag_errors
 from quadftc_replay.dataflash import PARAMETER, PARAMETER_FIELDS, DataflashLog, parameters_of
 from quadftc_replay.thinning import Thinning
 
@@ -67,12 +67,9 @@ def read_dataflash_text(
     """Read messages of some names, of each some fields, as `read_dataflash` does from the binary log."""
     wanted = {name.encode(): tuple(fields) for name, fields in {**names, PARAMETER: PARAMETER_FIELDS}.items()}
     reader = _LineReader(wanted, instances)
-    try:
-        with path.open("rb") as stream:
-            for line in iter(lambda: stream.readline(LONGEST), b""):
-                reader.take(line)
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror or error}") from None
+    with bag_errors(path), path.open("rb") as stream:
+        for line in iter(lambda: stream.readline(LONGEST), b""):
+            reader.take(line)
     messages = reader.messages()
     parameters = messages.pop(PARAMETER, {})
     return DataflashLog(messages, parameters_of(parameters), tuple(reader.notes()))

@@ -57,8 +57,7 @@ def encode_topic(types: Typesdict, type_name: str, fields: Mapping[str, Any], co
     """Write ``count`` messages in plain little-endian CDR; ``fields`` are named as `decode_topic` names them.
 
     A text, or list of texts, is that of all messages. A number that is not given is NaN or 0, a text and a
-    sequence empty. ValueError for a type with lists of
-    messages.
+    sequence empty. ValueError for a type with lists of messages.
     """
     parts: list[Bytes] = [np.tile(np.array([0, 1, 0, 0], np.uint8), (count, 1))]
 

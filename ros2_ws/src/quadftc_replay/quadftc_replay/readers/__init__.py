@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from quadftc_bags.bag import BagError
 from quadftc_bags.ros1 import ROS1_MAGIC
+from quadftc_bags.storage import bag_errors
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.readers.contents import (
     HEAD,
@@ -105,11 +106,8 @@ def read_head(path: Path) -> bytes:
     """Read the bytes that tell a format; BagError if the path is no file that can be read."""
     if path.exists() and not path.is_file():  # a pipe would have us wait
         raise BagError(f"{path}: neither a file nor a directory; expected a log")
-    try:
-        with path.open("rb") as stream:
-            return stream.read(HEAD)
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror or error}") from None
+    with bag_errors(path), path.open("rb") as stream:
+        return stream.read(HEAD)
 
 
 @contextlib.contextmanager
