@@ -1,31 +1,19 @@
 """Allocation against linear programmes, its limits, and its ways through arrays."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from layouts import SIXTH, circle, with_rotors
 from scipy.optimize import linprog
 
 from quadftc_control.allocation import allocate
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
-
-def layout(positions, yaw_sign):
-    """The Qball-X4 with other rotors."""
-    vehicle = load_vehicle("qball_x4")
-    sign = np.asarray(yaw_sign, float)
-    rotors = dataclasses.replace(
-        vehicle.rotors, positions=np.asarray(positions, float), yaw_sign=sign, spin_sign=-sign
-    )
-    return dataclasses.replace(vehicle, rotors=rotors)
-
-
-SIXTH = np.pi / 3.0 * np.arange(6)
+QBALL = load_vehicle("qball_x4")
 VEHICLES = {name: load_vehicle(name) for name in vehicle_names()} | {
-    "hexarotor": layout(0.25 * np.stack([np.cos(SIXTH), np.sin(SIXTH)], axis=1), [1, -1] * 3),
-    "wide tail": layout([[0.2, 0.15], [0.2, -0.15], [-0.25, 0.3], [-0.25, -0.3]], [1, -1, -1, 1]),
+    "hexarotor": with_rotors(QBALL, circle(SIXTH), "PNPNPN"),
+    "wide tail": with_rotors(QBALL, [[0.2, 0.15], [0.2, -0.15], [-0.25, 0.3], [-0.25, -0.3]], "PNNP"),
 }
 EVERY_VEHICLE = pytest.mark.parametrize("vehicle", VEHICLES.values(), ids=VEHICLES)
 SHARE = st.floats(-1.5, 1.5)

@@ -1,9 +1,8 @@
 """Allocation to weak rotors against linear programmes over the thrusts of the rotors."""
 
-import dataclasses
-
 import numpy as np
 import pytest
+from layouts import SIXTH, circle, with_rotors
 from scipy.optimize import linprog, lsq_linear
 
 from quadftc_control.allocation import Allocated, allocate
@@ -11,24 +10,14 @@ from quadftc_control.weak_allocation import CARRIED, GIVES_WAY
 from quadftc_model.vehicle import load_vehicle
 from quadftc_model.wrench_set import limits
 
-
-def layout(angles, yaw_sign, base="x500"):
-    """A vehicle with its rotors on a circle of 0.25 m, at angles [deg]."""
-    vehicle = load_vehicle(base)
-    angles, sign = np.radians(angles), np.asarray(yaw_sign, float)
-    places = 0.25 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    rotors = dataclasses.replace(vehicle.rotors, positions=places, yaw_sign=sign, spin_sign=-sign)
-    return dataclasses.replace(vehicle, rotors=rotors)
-
-
-SIXTH, EIGHTH = np.arange(6) * 60.0, np.arange(8) * 45.0 + 22.5
+X500, EIGHTH = load_vehicle("x500"), np.arange(8) * 45.0 + 22.5
 VEHICLES = {
-    "quadrotor x": load_vehicle("x500"),
+    "quadrotor x": X500,
     "quadrotor +": load_vehicle("qball_x4"),
-    "hexarotor PNPNPN": layout(SIXTH, [1, -1] * 3),
-    "hexarotor PPNNPN": layout(SIXTH, [1, 1, -1, -1, 1, -1]),
-    "octorotor": layout(EIGHTH, [1, -1] * 4),
-    "octorotor, coaxial": layout(np.repeat([45.0, 135.0, 225.0, 315.0], 2), [1, -1] * 4),
+    "hexarotor PNPNPN": with_rotors(X500, circle(SIXTH), "PNPNPN"),
+    "hexarotor PPNNPN": with_rotors(X500, circle(SIXTH), "PPNNPN"),
+    "octorotor": with_rotors(X500, circle(EIGHTH), "PNPNPNPN"),
+    "octorotor, coaxial": with_rotors(X500, circle(np.repeat([45.0, 135.0, 225.0, 315.0], 2)), "PNPNPNPN"),
 }
 EVERY_VEHICLE = pytest.mark.parametrize("vehicle", VEHICLES.values(), ids=VEHICLES)
 

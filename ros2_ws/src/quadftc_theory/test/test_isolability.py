@@ -9,6 +9,7 @@ import pytest
 import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from layouts import SIXTH, circle, with_rotors
 
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_rates, quaternion_from_euler, to_earth
@@ -54,15 +55,6 @@ def analysed(vehicle=QBALL, **assumptions):
 
 def entry(result, matrix, first, second):
     return bool(getattr(result, matrix)[result.faults.index(first), result.faults.index(second)])
-
-
-def hexarotor():
-    """Six rotors around a circle, neighbours spinning in opposite senses."""
-    angle = np.arange(6) * np.pi / 3.0
-    sign = np.array([1.0, -1.0] * 3)
-    positions = 0.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    rotors = dataclasses.replace(QBALL.rotors, positions=positions, yaw_sign=sign, spin_sign=-sign)
-    return dataclasses.replace(QBALL, name="hexarotor", rotors=rotors)
 
 
 def test_electric_motor_has_the_isolability_that_its_tutorial_states():
@@ -154,7 +146,8 @@ def test_constant_gyro_fault_is_told_from_an_attitude_fault_by_rotational_drag_a
 
 
 def test_hexarotor_confuses_opposite_rotors():
-    result = analysed(hexarotor(), sensor_set=("attitude", "gyro"), actuators="rotors")
+    hexarotor = with_rotors(QBALL, circle(SIXTH, 0.2), "PNPNPN")
+    result = analysed(hexarotor, sensor_set=("attitude", "gyro"), actuators="rotors")
     assert result.groups == tuple((f"rotor {number}", f"rotor {number + 3}") for number in (1, 2, 3))
 
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from layouts import SIXTH, circle, with_rotors
 
 from quadftc_control.reduced_attitude import yaw_left
 from quadftc_model.vehicle import load_vehicle
@@ -15,12 +16,8 @@ NAMES = ("crazyflie_2x", "qball_x4", "x500", "hummingbird")
 
 def hexarotor(layout, thrust_to_weight):
     """The X500 with six rotors; P pushes yaw one way, N the other."""
-    vehicle, angles = load_vehicle("x500"), np.radians(60.0 * np.arange(6))
-    sign = np.array([1.0 if each == "P" else -1.0 for each in layout])
-    places = 0.25 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    rotors = dataclasses.replace(vehicle.rotors, positions=places, yaw_sign=sign, spin_sign=-sign)
-    mass = vehicle.thrust_max * 1.5 / 9.80665 / thrust_to_weight
-    return dataclasses.replace(vehicle, rotors=rotors, mass=mass)
+    vehicle = with_rotors(load_vehicle("x500"), circle(SIXTH), layout)
+    return dataclasses.replace(vehicle, mass=vehicle.thrust_max / 9.80665 / thrust_to_weight)
 
 
 @pytest.mark.parametrize("name", NAMES)

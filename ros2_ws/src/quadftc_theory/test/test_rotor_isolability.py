@@ -1,24 +1,13 @@
 """Which weak rotors look alike: quadrotor and hexarotors."""
 
-import dataclasses
-
 import numpy as np
 import pytest
+from layouts import SIXTH, circle, with_rotors
 from rotor_isolability import alike, effects_in_hover, largest_cosine
 
 from quadftc_model.vehicle import load_vehicle
 
 X500 = load_vehicle("x500")
-
-
-def hexarotor(layout):
-    """The X500 with six rotors on a circle; P and N are the signs of their torque about yaw."""
-    angles = np.radians(60.0 * np.arange(6))
-    sign = np.array([1.0 if each == "P" else -1.0 for each in layout])
-    places = 0.25 * np.stack([np.cos(angles), -np.sin(angles)], axis=1)
-    return dataclasses.replace(
-        X500, rotors=dataclasses.replace(X500.rotors, positions=places, yaw_sign=sign, spin_sign=-sign)
-    )
 
 
 @pytest.mark.parametrize("accelerometer", [False, True])
@@ -34,7 +23,7 @@ def test_no_two_sets_of_two_rotors_of_a_quadrotor_look_alike(accelerometer):
     ],
 )
 def test_single_rotors_of_a_hexarotor_are_told_apart_and_some_pairs_are_not(layout, pairs):
-    effects = effects_in_hover(hexarotor(layout))
+    effects = effects_in_hover(with_rotors(X500, circle(-SIXTH), layout))
     assert alike(effects, 1) == []
     assert alike(effects) == pairs
 
