@@ -4,13 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Vector3, Vector3Stamped
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import Imu
-from std_msgs.msg import Header
 
+from flight_messages import TYPES, messages_at
 from message_objects import FaultStatusWriter
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
@@ -18,24 +15,7 @@ from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight, flight_from_bag, onset_ns
 from quadftc_flight.scenario import parse_scenario
 from quadftc_model.samples import FaultEstimate
-from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
 
-TYPES = {
-    "imu/data": "sensor_msgs/msg/Imu",
-    "fault/dropped": "std_msgs/msg/Header",
-    "fault/status": "quadftc_msgs/msg/FaultStatus",
-    "attitude/reference": "quadftc_msgs/msg/AttitudeReference",
-    "control/status": "quadftc_msgs/msg/ControlStatus",
-}
-VECTOR_TOPICS = {
-    "plant/attitude": "angles",
-    "plant/rate": "body_rate",
-    "disturbance/applied": "disturbance",
-    "fault/injected": "fault",
-    "fault/estimate": "fault_estimate",
-    "disturbance/estimate": "disturbance_estimate",
-    "torque/command": "torque",
-}
 TEXT = """
 duration: 2 s
 rate: 50 Hz
@@ -59,50 +39,13 @@ def flown() -> Flight:
     return dataclasses.replace(flight, fault_onset_ns=onset)
 
 
-def vector(row) -> Vector3:
-    return Vector3(x=row[0], y=row[1], z=row[2])
-
-
-def messages(flight: Flight, row: int):
-    """The messages that the graph publishes with one stamp."""
-    header = Header(
-        stamp=Time(sec=int(flight.stamp_ns[row] // 10**9), nanosec=int(flight.stamp_ns[row] % 10**9))
-    )
-    for topic, name in VECTOR_TOPICS.items():
-        value = getattr(flight, name)[row]
-        if flight.delivered[row] or topic in ("plant/attitude", "plant/rate", "disturbance/applied"):
-            yield topic, Vector3Stamped(header=header, vector=vector(value))
-    if not flight.delivered[row]:
-        yield (
-            "fault/injected",
-            Vector3Stamped(header=header),
-        )  # the injector says so of a sample withheld, too
-        yield "fault/dropped", header
-        return
-    yield "imu/data", Imu(header=header)
-    yield "attitude/reference", AttitudeReference(header=header, angles=vector(flight.reference[row]))
-    onset = [Time(sec=ns // 10**9, nanosec=ns % 10**9) for ns in flight.fault_onset_ns[row].tolist()]
-    state, std_dev = flight.fault_state[row], vector(flight.fault_std_dev[row])
-    yield "fault/status", FaultStatus(header=header, state=state, std_dev=std_dev, onset=onset)
-    yield (
-        "control/status",
-        ControlStatus(
-            header=header,
-            error=vector(flight.error[row]),
-            sliding_variable=vector(flight.sliding_variable[row]),
-            saturated=flight.saturated[row].tolist(),
-        ),
-    )
-
-
 def record(flight: Flight, directory, leave_out=(), namespace="/") -> None:
     rng = np.random.default_rng(1)
     with BagWriter(directory) as writer:
-        for topic in (*TYPES, *VECTOR_TOPICS):
-            type_name = TYPES.get(topic, "geometry_msgs/msg/Vector3Stamped")
+        for topic, type_name in TYPES.items():
             writer.add_topic(namespace + topic, type_name, QoSProfile(depth=10))
         for row in range(len(flight)):
-            for topic, message in messages(flight, row):
+            for topic, message in messages_at(flight, row):
                 if topic not in leave_out:
                     arrival = int(flight.stamp_ns[row] + rng.integers(0, 10**8))  # out of order
                     writer.write(namespace + topic, serialize_message(message), arrival, arrival)

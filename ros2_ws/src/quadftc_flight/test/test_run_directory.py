@@ -12,13 +12,13 @@ import pytest
 import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Vector3, Vector3Stamped
 from mcap.writer import Writer
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
+from flight_messages import TYPES, VECTOR_TOPICS, messages_at
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
@@ -37,7 +37,6 @@ from quadftc_flight.live_run import (
 from quadftc_flight.run_directory import MissingPartError, find_runs, read_run
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_flight.summary import summary
-from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
 
 TEXT = """
 name: short
@@ -52,39 +51,6 @@ schemes:
      checks: [{metric: tracking_rmse_deg, below: 5}]}
   second: {controller: smc}
 """
-VECTOR_TOPICS = {
-    "plant/attitude": "angles",
-    "plant/rate": "body_rate",
-    "disturbance/applied": "disturbance",
-    "fault/injected": "fault",
-    "fault/estimate": "fault_estimate",
-    "disturbance/estimate": "disturbance_estimate",
-    "torque/command": "torque",
-}
-OTHER_TOPICS = {
-    "imu/data": "sensor_msgs/msg/Imu",
-    "fault/status": "quadftc_msgs/msg/FaultStatus",
-    "attitude/reference": "quadftc_msgs/msg/AttitudeReference",
-    "control/status": "quadftc_msgs/msg/ControlStatus",
-}
-
-
-def xyz(row) -> Vector3:
-    return Vector3(x=row[0], y=row[1], z=row[2])
-
-
-def messages(flight: Flight, row: int):
-    header = Header(
-        stamp=Time(sec=int(flight.stamp_ns[row] // 10**9), nanosec=int(flight.stamp_ns[row] % 10**9))
-    )
-    for topic, name in VECTOR_TOPICS.items():
-        yield topic, Vector3Stamped(header=header, vector=xyz(getattr(flight, name)[row]))
-    yield "imu/data", Imu(header=header, angular_velocity=xyz(flight.body_rate[row]))
-    state, std_dev = flight.fault_state[row], xyz(flight.fault_std_dev[row])
-    yield "fault/status", FaultStatus(header=header, state=state, std_dev=std_dev)
-    yield "attitude/reference", AttitudeReference(header=header, angles=xyz(flight.reference[row]))
-    cut = flight.saturated[row].tolist()
-    yield "control/status", ControlStatus(header=header, error=xyz(flight.error[row]), saturated=cut)
 
 
 def record(directory: Path, scenario: Scenario, scheme: str, flight: Flight, leave_out=()) -> Path:
@@ -96,11 +62,10 @@ def record(directory: Path, scenario: Scenario, scheme: str, flight: Flight, lea
     }
     attachments = {name: text.encode() for name, text in files.items() if name not in leave_out}
     with BagWriter(directory, attachments, {"quadftc": "0.1.0", "mode": "lockstep"}, lockstep=True) as writer:
-        topics = {**dict.fromkeys(VECTOR_TOPICS, "geometry_msgs/msg/Vector3Stamped"), **OTHER_TOPICS}
-        for topic, type_name in topics.items():
+        for topic, type_name in TYPES.items():
             writer.add_topic(f"/{topic}", type_name, QoSProfile(depth=10))
         for row in range(len(flight)):
-            for topic, message in messages(flight, row):
+            for topic, message in messages_at(flight, row):
                 if topic not in leave_out:
                     stamp = int(flight.stamp_ns[row])
                     writer.write(f"/{topic}", serialize_message(message), stamp, stamp)
