@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
 import yaml
 
+from quadftc_campaign.workers import run_tasks, started_workers
 from quadftc_flight.run_files import RunError
 from quadftc_flight.summary import Summary
-from quadftc_sitl.firmware import SitlError, die_with_parent, parameter_file
+from quadftc_sitl.firmware import SitlError, parameter_file
 from quadftc_sitl.plan import SitlPlan, plan_of_text
 from quadftc_sitl.sitl_flight import SUMMARY, fly_sitl
 
@@ -47,10 +46,7 @@ def job_of(plan: SitlPlan, binary: Path, parameters: Mapping[str, float], out: P
 
 
 def fly_jobs(
-    jobs: Sequence[Job],
-    workers: int,
-    resume: bool,
-    follow: Callable[[int], object],
+    jobs: Sequence[Job], workers: int, resume: bool, follow: Callable[[int], object]
 ) -> list[Summary]:
     """Fly jobs, so many side by side; return their summaries in order.
 
@@ -65,16 +61,17 @@ def fly_jobs(
             found[number] = fly_job(jobs[number])
             follow(len(found))
         return [found[number] for number in range(len(jobs))]
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=die_with_parent) as pool:
-        running = {pool.submit(fly_job, jobs[number]): number for number in left}
-        try:
-            for future in as_completed(running):
-                found[running[future]] = future.result()
-                follow(len(found))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with started_workers(workers) as pool:
+        for place, summary in run_tasks(pool, _fly, [(jobs[number],) for number in left]):
+            found[left[place]] = summary
+            follow(len(found))
     return [found[number] for number in range(len(jobs))]
+
+
+def _fly(job: Job, _progress: object) -> Summary:
+    """Fly one job in a process, anew where one was lost with it."""
+    clear(job.out)
+    return fly_job(job)
 
 
 def fly_job(job: Job) -> Summary:

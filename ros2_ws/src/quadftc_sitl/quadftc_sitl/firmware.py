@@ -7,7 +7,6 @@ leads a process group of its own, so that whatever it starts is ended with it.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import signal
 import socket
@@ -40,14 +39,6 @@ except OSError as error:
 
 class SitlError(ValueError):
     """A flight that cannot be flown with this binary; the message says why."""
-
-
-def die_with_parent() -> None:
-    """Have the kernel kill this process when its parent ends; at once, if that has happened."""
-    parent = os.getppid()
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
-        os._exit(1)
 
 
 class Firmware:
