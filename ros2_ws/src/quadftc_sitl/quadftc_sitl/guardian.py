@@ -19,19 +19,8 @@ STALE_NS = 300_000_000  # ns; reports come at 10 Hz: after such a silence a faul
 MODE_ACTIONS = ("alt_hold", "rtl", "land")  # the milder first: only a stronger one follows
 # modes in which the autopilot flies by itself; a pilot's hands are left alone
 AUTONOMOUS = (
-    "GUIDED",
-    "AUTO",
-    "LOITER",
-    "POSHOLD",
-    "CIRCLE",
-    "BRAKE",
-    "ALT_HOLD",
-    "RTL",
-    "SMART_RTL",
-    "LAND",
-    "OFFBOARD",
-    "MISSION",
-    "TAKEOFF",
+    *("GUIDED", "AUTO", "LOITER", "POSHOLD", "CIRCLE", "BRAKE", "ALT_HOLD", "RTL", "SMART_RTL", "LAND"),
+    *("OFFBOARD", "MISSION", "TAKEOFF"),
 )
 
 

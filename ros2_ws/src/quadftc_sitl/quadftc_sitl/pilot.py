@@ -25,13 +25,8 @@ from quadftc_sitl.plan import OwnFault, SitlPlan
 
 TICK = 0.02  # s; between two steps
 SETPOINTS = 0.1  # s; between two setpoints
-TO_SPEAK, TO_BE_READY, TO_ARM, TO_CLIMB, TO_LAND = (
-    60.0,
-    60.0,
-    30.0,
-    60.0,
-    60.0,
-)  # s; the longest that each may take
+# s; the longest that each may take
+TO_SPEAK, TO_BE_READY, TO_ARM, TO_CLIMB, TO_LAND = 60.0, 60.0, 30.0, 60.0, 60.0
 SETTLING = 4.0  # s; of hovering where the trajectories begin, before scenario time 0
 AFTERWARDS = 2.0  # s; flown on after the end, so that the log has it
 WAYPOINT_PERIOD, WAYPOINT_DISTANCE = 4.0, 1.0  # s, m; between waypoints of a mission

@@ -233,11 +233,7 @@ def plans_of_catalogue(
             except ValueError as error:
                 raise document.error([Problem((KEY, "catalogue", number), str(error))]) from None
             name = f"{entry.name}-{seed}"
-            changes: dict[Keys, object] = {
-                ("name",): name,
-                ("faults",): ours,
-                ("seed",): seed,
-            }
+            changes: dict[Keys, object] = {("name",): name, ("faults",): ours, ("seed",): seed}
             changes |= {(KEY, "faults"): own, (KEY, "catalogue"): []}
             plans.append(plan_of(document.replaced(changes, f"catalogue, '{entry.name}'"), scheme, autopilot))
     return plans

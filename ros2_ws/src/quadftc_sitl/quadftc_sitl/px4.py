@@ -101,10 +101,7 @@ class PX4Pilot(Pilot):
     JOURNAL = PX4Journal
     FOLLOWS, MISSION = "OFFBOARD", "MISSION"
     FIRST_ITEM = ()  # its missions have no item for home
-    MESSAGES = {
-        **COMMON,
-        dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 10,
-    }
+    MESSAGES = {**COMMON, dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 10}
 
     def _get_ready(self) -> Steps:
         """Wait until it says that it can be armed; it takes OFFBOARD once setpoints come."""

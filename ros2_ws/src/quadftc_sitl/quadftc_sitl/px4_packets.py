@@ -115,11 +115,8 @@ class PX4Physics(AutopilotPhysics):
         """Write what the position sensor says."""
         east, north, up = map(float, place.position)
         velocity = 1e2 * enu_from_ned(place.velocity)
-        where = (
-            *(round(1e7 * each) for each in to_degrees(HOME, east, north)),
-            round(1e3 * (HOME[2] + up)),
-            *ACCURACY,
-        )
+        flat = (round(1e7 * each) for each in to_degrees(HOME, east, north))
+        where = *flat, round(1e3 * (HOME[2] + up)), *ACCURACY
         speeds = round(math.hypot(velocity[0], velocity[1])), *map(round, velocity)
         heading = round(1e2 * course(velocity))
         message = self._mavlink.hil_gps_encode(stamp, FIX_3D, *where, *speeds, heading, SATELLITES)

@@ -48,27 +48,20 @@ class Recorder:
         motion = emission.flight
         assert motion is not None
         now = emission.stamp_ns
-        self._put("rotors/speed", now, velocity=motion.speeds)
-        self._put(
-            "plant/odometry",
-            now,
-            **{
-                "pose.pose.position": motion.position,
-                "pose.pose.orientation_xyzw": motion.q_xyzw,
-                "twist.twist.linear": motion.body_velocity,
-                "twist.twist.angular": emission.body_rate,
-            },
-        )
+        self._put("rotors/speed", now, {"velocity": motion.speeds})
+        pose = {"pose.pose.position": motion.position, "pose.pose.orientation_xyzw": motion.q_xyzw}
+        twist = {"twist.twist.linear": motion.body_velocity, "twist.twist.angular": emission.body_rate}
+        self._put("plant/odometry", now, pose | twist)
         if commanded_ns is not None:
-            self._put("rotors/command", commanded_ns, velocity=shown.command)
+            self._put("rotors/command", commanded_ns, {"velocity": shown.command})
         if injected is not None:
             stamp_ns, sample = emission.sample_stamp_ns, injected.sample
             if injected.present:
-                self._put("imu/data", stamp_ns, **sample._asdict())
+                self._put("imu/data", stamp_ns, sample._asdict())
             for channel, topic in self._truth.items():
-                self._put(topic, stamp_ns, vector=getattr(injected, channel))
+                self._put(topic, stamp_ns, {"vector": getattr(injected, channel)})
             if injected.rotors is not None and "rotors/fault" in self._channels:
-                self._put("rotors/fault", stamp_ns, **injected.rotors._asdict())
+                self._put("rotors/fault", stamp_ns, injected.rotors._asdict())
         if len(self._rows["rotors/speed"]["stamp_ns"]) >= ROWS:
             self._write()
 
@@ -97,10 +90,9 @@ class Recorder:
         """Messages that were written, by topic."""
         return dict(self._file.counts)
 
-    def _put(self, topic: str, stamp_ns: int, **fields: object) -> None:
+    def _put(self, topic: str, stamp_ns: int, fields: Mapping[str, object]) -> None:
         columns = self._rows.setdefault(topic, {})
-        columns.setdefault("stamp_ns", []).append(stamp_ns)
-        for name, value in fields.items():
+        for name, value in {"stamp_ns": stamp_ns, **fields}.items():
             columns.setdefault(name, []).append(value)
 
     def _write(self) -> None:

@@ -109,6 +109,12 @@ def is_it(fault: Told, component: str, element: str, rivals: Sequence[str] = ())
     )
 
 
+def tells_of(fault: Told, said: Told, key: str) -> bool:
+    """Return whether what was said is this fault, and at its ``key`` [s] not too early."""
+    is_same = is_it(fault, said["component"], said["element"], said["ambiguous_with"])
+    return is_same and said[key] >= fault["start"] - EARLY
+
+
 def kind_of(component: str) -> str:
     """Return a component without its number: ``gyro`` for ``gyro 2``."""
     return component.rstrip("0123456789 ")
@@ -147,12 +153,4 @@ def metrics_of(result: Summary, errors: Sequence[float]) -> dict[str, float | No
 
 def _false(faults: Sequence[Told], said: Sequence[Told], key: str) -> list[Told]:
     """Return what was said of components that are healthy, or too early."""
-    return [
-        each
-        for each in said
-        if not any(
-            is_it(fault, each["component"], each["element"], each["ambiguous_with"])
-            and each[key] >= fault["start"] - EARLY
-            for fault in faults
-        )
-    ]
+    return [each for each in said if not any(tells_of(fault, each, key) for fault in faults)]

@@ -37,7 +37,7 @@ from quadftc_sitl.link import MavlinkLink
 from quadftc_sitl.physics import Fate, Physics
 from quadftc_sitl.plan import SitlPlan
 from quadftc_sitl.recording import Recorder
-from quadftc_sitl.scoring import EARLY, Told, describe_faults, is_it, metrics_of, noticed, observed
+from quadftc_sitl.scoring import Told, describe_faults, metrics_of, noticed, observed, tells_of
 
 NOTHING: Told = {"named": False, "delay_s": None, "as": []}
 
@@ -47,11 +47,7 @@ LOOK = 2.0  # s of the wall clock; how often the sockets of the firmware are rea
 
 
 def fly_sitl(
-    plan: SitlPlan,
-    binary: Path,
-    out: Path,
-    parameters: Mapping[str, float] | None = None,
-    engine: str = "c",
+    plan: SitlPlan, binary: Path, out: Path, parameters: Mapping[str, float] | None = None, engine: str = "c"
 ) -> Summary:
     """Fly a plan with a firmware in a new folder; return the summary that is written there.
 
@@ -175,7 +171,6 @@ class Flight:
         for fault in faults:
             fault["autopilot"] = noticed(fault, events)
             fault["observer"] = observed(fault, physics.reports, physics.begin_ns or 0)
-        words = [line for line in [self._recorder.problem] if line]
         return {
             "name": plan.name,
             "scenario": scenario.name,
@@ -200,7 +195,7 @@ class Flight:
             "guardian": self._guarded(),
             "autopilot_said": [event._asdict() for event in events],
             "real_time_factor": physics.now / wall_time if wall_time > 0.0 else None,
-            "recorded": {"messages": sum(self._recorder.counts.values()), "problem": "; ".join(words)},
+            "recorded": {"messages": sum(self._recorder.counts.values()), "problem": self._recorder.problem},
             "versions": {"quadftc": software_version(), "pymavlink": version("pymavlink")},
         }
 
@@ -275,12 +270,8 @@ def _finding(finding: Finding, shift: float) -> Told:
 
 def _of_fault(fault: Told, findings: list[Told]) -> Told:
     """Return the findings that are a fault, the earliest first."""
-    own = [
-        each
-        for each in sorted(findings, key=lambda each: each["onset"])
-        if is_it(fault, each["component"], each["element"], each["ambiguous_with"])
-        and each["onset"] >= fault["start"] - EARLY
-    ]
+    own = [each for each in findings if tells_of(fault, each, "onset")]
+    own.sort(key=lambda each: each["onset"])
     if not own:
         return dict(NOTHING)
     words = [f"{each['component']} {each['element']}: {each['kind']}".replace(" :", ":") for each in own]

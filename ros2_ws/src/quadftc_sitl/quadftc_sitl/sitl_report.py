@@ -121,10 +121,7 @@ def _by_fault(summaries: Flights) -> dict[str, list[Summary]]:
 
 def _truth(faults: Sequence[Told]) -> str:
     """Say what is faulty; a fault of the autopilot's own simulation is in one of its sensors."""
-    names = [
-        f"{each['component']} (its own)" if each["source"] == "autopilot" else each["component"]
-        for each in faults
-    ]
+    names = [each["component"] + " (its own)" * (each["source"] == "autopilot") for each in faults]
     return " and ".join(dict.fromkeys(names)) or NOTHING
 
 
@@ -141,11 +138,8 @@ def _first_said(flight: Summary, source: str) -> str:
     if not later:
         return NOTHING
     first = min(later, key=lambda each: each[key])
-    names = {
-        kind_of(first["component"]),
-        *(kind_of(each.partition("/")[0]) for each in first["ambiguous_with"]),
-    }
-    return " or ".join(sorted(names))
+    names = (first["component"], *(each.partition("/")[0] for each in first["ambiguous_with"]))
+    return " or ".join(sorted({*map(kind_of, names)}))
 
 
 def _share(flights: Flights, source: str) -> str:
