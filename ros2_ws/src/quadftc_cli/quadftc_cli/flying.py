@@ -165,20 +165,16 @@ def _print_loss(item: Summary, out: Path, screen: Console) -> None:
 
 
 def _print_tables(summaries: Sequence[Summary], screen: Console) -> None:
-    """Print what became of each axis, and of the faults if there were any."""
-    screen.print(_run_table(summaries, screen))
+    """Print what became of each axis, in as many columns as there is room for, and of the faults if any."""
+    tables = (_narrow_table(summaries, count) for count in range(len(COLUMNS), 0, -1))
+    screen.print(fitting(tables, screen))
     if any(item["metrics"]["diagnosis"]["fault_count"] for item in summaries):
         named = {f"{item['name']}-{item['scheme']}": item["metrics"] for item in summaries}
         screen.print(diagnosis_table(named, screen))
 
 
-def _run_table(summaries: Sequence[Summary], screen: Console) -> Table:
-    """Table of runs: a row for each axis of each run, with as many columns as the screen has room for."""
-    return fitting((_narrow_table(summaries, count) for count in range(len(COLUMNS), 0, -1)), screen)
-
-
 def _narrow_table(summaries: Sequence[Summary], count: int) -> Table:
-    """Table with the first ``count`` columns."""
+    """Table of runs, a row for each axis of each, with the first ``count`` columns."""
     table = plain_table(("run", "axis"), map(heading, COLUMNS[:count]))
     table.add_column("checks\npassed", no_wrap=True)
     for item in summaries:

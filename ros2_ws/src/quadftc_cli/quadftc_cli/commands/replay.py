@@ -18,13 +18,7 @@ COLUMNS = tuple(
 )
 
 
-Bag = Annotated[
-    Path,
-    Argument(
-        metavar="BAG",
-        help=options.LOG_HELP,
-    ),
-]
+Bag = Annotated[Path, Argument(metavar="BAG", help=options.LOG_HELP)]
 Topic = Annotated[
     str, Option(help="Topic of the IMU, or name of a gyro; default: the only one, or imu/data.")
 ]

@@ -151,19 +151,14 @@ class Picture:
         """Return how each element of each component is."""
         diagnosis = self.latest.read("diagnosis", _read(Diagnosis))
         watched = [] if diagnosis is None else list(diagnosis.watched)
-        faults = (
-            {}
-            if diagnosis is None
-            else {f"{each.component}/{each.element}": each for each in diagnosis.faults}
-        )
+        confirmed = [] if diagnosis is None else diagnosis.faults
+        faults = {f"{each.component}/{each.element}": each for each in confirmed}
         rivals = {name for fault in faults.values() for name in fault.ambiguous_with} - {*faults}
         suspects = self._suspects()
-        names = [*COMPONENTS, *(["rotor"] if self.rotors else [])]
         found: dict[str, dict[str, State]] = {}
-        for component in names:
-            elements = elements_of(component, self.rotors)[0]
+        for component in (*COMPONENTS, *(["rotor"] if self.rotors else [])):
             found[component] = {}
-            for element in elements:
+            for element in elements_of(component, self.rotors)[0]:
                 name = f"{component}/{element}"
                 if name in faults:
                     state = self._fault(faults[name])
@@ -179,17 +174,12 @@ class Picture:
     def _suspects(self) -> dict[str, int]:
         """Return the states of attitude and rotors, which show a suspicion before a fault is confirmed."""
         states: dict[str, int] = {}
-        for component, topic, kind in (
-            ("attitude", "fault/status", FaultStatus),
-            ("rotor", "rotors/status", RotorStatus),
-        ):
-            status = self.latest.read(topic, _read(kind))
-            if status is not None:
+        told = {"attitude": ("fault/status", FaultStatus), "rotor": ("rotors/status", RotorStatus)}
+        for component, (topic, kind) in told.items():
+            if (status := self.latest.read(topic, _read(kind))) is not None:
                 elements = elements_of(component, len(status.state))[0]
-                states |= {
-                    f"{component}/{name}": int(value)
-                    for name, value in zip(elements, status.state, strict=True)
-                }
+                names = [f"{component}/{element}" for element in elements]
+                states |= dict(zip(names, map(int, status.state), strict=True))
         return states
 
     def _fault(self, fault: ComponentFault) -> State:
@@ -204,22 +194,15 @@ class Picture:
     def warnings(self) -> list[tuple[str, str, str]]:
         """Return level, name and words of what the nodes warn of, the worst first."""
         found = [(level_of(status), status.name, status.message) for status in self._statuses.values()]
-        return [
-            (LEVELS[min(level, 3)], name, words)
-            for level, name, words in sorted(found, reverse=True)
-            if level
-        ]
+        worst_first = sorted(found, reverse=True)
+        return [(LEVELS[min(level, 3)], name, words) for level, name, words in worst_first if level]
 
     def mode(self) -> str:
         """Return the mode of the controller in words."""
         status = self.latest.read("control/status", _read(ControlStatus))
-        return (
-            "silent"
-            if status is None
-            else MODES[status.mode]
-            if status.mode < len(MODES)
-            else str(status.mode)
-        )
+        if status is None:
+            return "silent"
+        return MODES[status.mode] if status.mode < len(MODES) else str(status.mode)
 
     def value(self, node: str, part: str, key: str) -> str:
         """Return a value that a node reports; empty if it does not."""
@@ -256,9 +239,8 @@ def amount(size: float, std_dev: float, unit: str) -> str:
 def _estimate(status: FaultStatus) -> tuple[Floats, Floats]:
     """Return estimate and standard deviation [rad]; NaN where there is none."""
     estimate, sigma = (np.array([part.x, part.y, part.z]) for part in (status.estimate, status.std_dev))
-    return np.where(np.array(status.state) == STARTING, np.nan, estimate), np.where(
-        sigma < 0.0, np.nan, sigma
-    )
+    has_begun = np.array(status.state) != STARTING
+    return np.where(has_begun, estimate, np.nan), np.where(sigma < 0.0, np.nan, sigma)
 
 
 def _or_nothing(vector: Floats | None) -> Floats:
