@@ -100,13 +100,7 @@ def fly_loops(jobs: list[Job], out: Path, engine: str, force: bool, junit: Path 
     return show_runs(summaries, out, screen, junit)
 
 
-def fly_jobs(
-    jobs: list[Job],
-    out: Path,
-    how: RunOptions,
-    workers: int = 1,
-    junit: Path | None = None,
-) -> int:
+def fly_jobs(jobs: list[Job], out: Path, how: RunOptions, workers: int = 1, junit: Path | None = None) -> int:
     """Fly scenarios with their schemes, show what came out, and return the exit code.
 
     ``junit``: the file that gets the checks as JUnit XML.

@@ -16,13 +16,7 @@ from quadftc_bags.bag import BagError
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import MAIN, FlightLog, Signal
-from quadftc_replay.imu_recording import (
-    Recording,
-    Stamps,
-    carried_attitudes,
-    clean_samples,
-    torque_before,
-)
+from quadftc_replay.imu_recording import Recording, Stamps, carried_attitudes, clean_samples, torque_before
 from quadftc_replay.readers import ONLY_ONE, LogChoice
 from quadftc_replay.readers.bounded import read_bounded
 

@@ -13,13 +13,7 @@ from scipy.spatial.transform import Rotation
 from quadftc_replay.flight_log import FlightLog, Floats, Signal
 from quadftc_replay.inspection.flight import prepare
 from quadftc_replay.inspection.inspect import inspect
-from quadftc_replay.inspection.response import (
-    Motion,
-    find_wiring,
-    response_findings,
-    wirings,
-    yaw_reversed,
-)
+from quadftc_replay.inspection.response import Motion, find_wiring, response_findings, wirings, yaw_reversed
 from quadftc_replay.inspection.rotor_trim import normalised
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.layouts import frame_layout

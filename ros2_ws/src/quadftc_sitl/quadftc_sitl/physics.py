@@ -23,12 +23,7 @@ from quadftc_compile.engine import engine_named
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_flight.scenario import node_parameters
 from quadftc_model.arrays import Components
-from quadftc_model.samples import (
-    DiagnosisReport,
-    PositionReference,
-    RotorReading,
-    level_sample,
-)
+from quadftc_model.samples import DiagnosisReport, PositionReference, RotorReading, level_sample
 from quadftc_sim.assembly import EPOCH_NS, simulator_from
 from quadftc_sim.autopilot import Shown
 from quadftc_sim.injector import FaultInjector

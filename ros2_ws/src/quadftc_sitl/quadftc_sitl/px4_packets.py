@@ -21,13 +21,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from quadftc_model.arrays import Vector
 from quadftc_model.frames import enu_from_ned, flu_from_frd
 from quadftc_model.samples import ImuSample, PositionSample
-from quadftc_sim.autopilot import (
-    AutopilotPhysics,
-    MakeInjector,
-    MakeSimulator,
-    speeds_of_shares,
-    to_degrees,
-)
+from quadftc_sim.autopilot import AutopilotPhysics, MakeInjector, MakeSimulator, speeds_of_shares, to_degrees
 from quadftc_sim.barometer import standard_height, standard_pressure
 from quadftc_sim.simulator import Emission
 from quadftc_sitl.autopilot import Server

@@ -89,12 +89,7 @@ def campaign(
 
 
 def _fly_all(
-    loaded: Campaign,
-    file: Path,
-    directory: Path,
-    resume: bool,
-    workers: int | None,
-    junit: Path | None,
+    loaded: Campaign, file: Path, directory: Path, resume: bool, workers: int | None, junit: Path | None
 ) -> int:
     cores = workers_here(workers)
     from quadftc_campaign.campaign_run import CampaignRun

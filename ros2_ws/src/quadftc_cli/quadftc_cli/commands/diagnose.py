@@ -21,8 +21,7 @@ FAULT_HELP = "Overlay a fault: 'bias channel=gyro axis=roll value=0.3 start=20s'
 
 Log = Annotated[Path, Argument(metavar="LOG", help=options.LOG_HELP)]
 Baseline = Annotated[
-    Path | None,
-    Option(metavar="LOG", help="Healthy flight of the same vehicle, to compare the rotors with."),
+    Path | None, Option(metavar="LOG", help="Healthy flight of the same vehicle, to compare the rotors with.")
 ]
 BaselineLog = Annotated[
     int,

@@ -21,8 +21,7 @@ def report(
         ),
     ],
     out: Annotated[
-        Path,
-        Option(metavar="FILE.html|DIR", help="The page, or a directory for report.html; replaced."),
+        Path, Option(metavar="FILE.html|DIR", help="The page, or a directory for report.html; replaced.")
     ] = Path("report.html"),
     figures: Annotated[
         bool, Option(help="Write the figures as PNG and PDF, too, into a directory beside the page.")

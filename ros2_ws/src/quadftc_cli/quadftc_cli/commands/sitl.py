@@ -33,8 +33,7 @@ Flown = Annotated[
 Firmware = Annotated[Literal["ardupilot", "px4"], Option(help="Whose firmware it is.")]
 Binary = Annotated[Path, Option(metavar="FILE", help="Its simulation (SITL), such as arducopter or px4.")]
 Parameters = Annotated[
-    list[Path],
-    Option(metavar="FILE", help="Parameters of the firmware, NAME VALUE a line; may be repeated."),
+    list[Path], Option(metavar="FILE", help="Parameters of the firmware, NAME VALUE a line; may be repeated.")
 ]
 SchemeName = Annotated[str, Option(help="Whose observer runs beside; default: the scenario's first.")]
 Guard = Annotated[
@@ -110,11 +109,7 @@ def sitl(
 
 
 def _show(
-    summaries: Sequence[Summary],
-    out: Path,
-    screen: Console,
-    junit: Path | None,
-    drawn: Drawn | None,
+    summaries: Sequence[Summary], out: Path, screen: Console, junit: Path | None, drawn: Drawn | None
 ) -> int:
     """Print what became of flights, write the report of many (``drawn`` not None), return the exit code."""
     from quadftc_cli.judging import judge

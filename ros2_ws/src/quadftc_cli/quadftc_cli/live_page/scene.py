@@ -51,14 +51,8 @@ class VehicleScene:
         places = self._vehicle.rotors.positions
         self._span = float(np.max(np.linalg.norm(places, axis=-1)))
         camera = ui.scene.perspective_camera(fov=38, near=0.02, far=100)
-        self.element = ui.scene(
-            800,
-            500,
-            grid=False,
-            camera=camera,
-            background_color=GROUND,
-            fps=30,
-        ).classes("scene")
+        element = ui.scene(800, 500, grid=False, camera=camera, background_color=GROUND, fps=30)
+        self.element = element.classes("scene")
         # a test stand holds the vehicle above the grid
         self._lift = np.array([0.0, 0.0, 0.0 if picture.latest.flies else 2.0 * self._span])
         x, y, z = (picture.latest.position() + self._lift).tolist()

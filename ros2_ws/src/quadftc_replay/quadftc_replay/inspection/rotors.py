@@ -13,14 +13,7 @@ from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, m
 from quadftc_replay.inspection.identification import STANDS, Identified, identify
 from quadftc_replay.inspection.rotor_step import LEVEL as STEP_LEVEL
 from quadftc_replay.inspection.rotor_step import RotorStep, find_step, torque_by_model, torque_of
-from quadftc_replay.inspection.rotor_trim import (
-    SHARPER,
-    Weak,
-    effects,
-    find_weak,
-    rotor_thrusts,
-    trim_of,
-)
+from quadftc_replay.inspection.rotor_trim import SHARPER, Weak, effects, find_weak, rotor_thrusts, trim_of
 from quadftc_replay.inspection.verdict import NotJudged
 from quadftc_replay.inspection.whitening import Floats, runs_of
 

@@ -35,14 +35,7 @@ from quadftc_model.rotations import to_earth
 from quadftc_model.samples import ABSENT
 from quadftc_model.vehicle import Vehicle, load_vehicle
 from quadftc_replay.flight_log import FlightLog, Floats
-from quadftc_replay.readers.bag_columns import (
-    Choose,
-    ColumnBag,
-    Columns,
-    ColumnTopic,
-    is_named,
-    read_columns,
-)
+from quadftc_replay.readers.bag_columns import Choose, ColumnBag, Columns, ColumnTopic, is_named, read_columns
 from quadftc_replay.readers.bag_rotors import add_rotors, find_rotor_choice
 from quadftc_replay.readers.layouts import Layout
 from quadftc_replay.readers.signals import Signals
