@@ -2,10 +2,10 @@
 
 import dataclasses
 
-import jax
 import numpy as np
 import pytest
 from in_c import fly_law
+from law_contract import assert_contract, outputs_of
 
 from quadftc_fdi.rotor_diagnosis.monitor import RotorInputs, estimate_rotors, start_rotors, step_rotors
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, RotorModel, effects_of, model_of
@@ -72,16 +72,6 @@ class Diagnosis:
 def diagnose(model, inputs):
     """Estimates of a flight, in C."""
     return fly_law(Diagnosis(effects_of(model)), inputs, DT)[1]
-
-
-def diagnose_in_numpy(model, inputs):
-    """The same in NumPy, of several flights, too."""
-    law, estimates = Diagnosis(effects_of(model)), []
-    state = law.init(inputs[0])
-    for each in inputs:
-        state, estimate = law.step(state, each, DT)
-        estimates.append(estimate)
-    return estimates
 
 
 def named(estimates):
@@ -219,30 +209,10 @@ def test_rotor_that_does_not_follow_its_command_is_named(thrust, kind):
     assert FAULT_KINDS[estimates[BEGIN + 50].kind[1]] == kind
 
 
-def test_batch_equals_the_loop():
-    flights = [flight(QUAD, one_rotor(QUAD, index, 0.3), 850, index) for index in range(3)]
-    flights = [measured(inputs, lambda _, wanted: wanted) for inputs in flights]
-    batch = [RotorInputs(*map(np.stack, zip(*each, strict=True))) for each in zip(*flights, strict=True)]
-    many = diagnose_in_numpy(QUAD, batch)
-    for one, inputs in enumerate(flights):
-        for index, estimate in enumerate(diagnose_in_numpy(QUAD, inputs)):
-            for column, value in zip(many[index], estimate, strict=True):
-                np.testing.assert_allclose(column[one], value, rtol=1e-9, atol=1e-12)
-
-
-def test_jax_gives_the_same_numbers():
-    jax.config.update("jax_enable_x64", True)
-    inputs, effects = flight(QUAD, one_rotor(QUAD, 2, 0.3), 850), effects_of(QUAD)
-    expected = diagnose_in_numpy(QUAD, inputs)
-
-    def step(state, each):
-        state = step_rotors(state, effects, each, DT)
-        return state, estimate_rotors(state)
-
-    rows = jax.tree.map(lambda *parts: np.stack(parts), *inputs)
-    start = jax.jit(lambda each: start_rotors(effects, each))(inputs[0])
-    _, found = jax.lax.scan(step, start, rows)
-    assert named(expected)[-1, 2]
-    for name, column in zip(found._fields, found, strict=True):
-        given = np.stack([getattr(each, name) for each in expected])
-        np.testing.assert_allclose(np.asarray(column), given, rtol=1e-7, atol=1e-9)
+def test_diagnosis_keeps_the_contract_of_a_law():
+    law = Diagnosis(effects_of(QUAD))
+    flights = [flight(QUAD, one_rotor(QUAD, 2, 0.3), 850, seed) for seed in (1, 2)]
+    flights[1] = measured(flights[1], lambda _, wanted: wanted)
+    with np.errstate(all="ignore"):
+        assert_contract(law, flights, rtol=1e-7, atol=1e-9)
+        assert named(outputs_of(law, flights[0]))[-1, 2]
