@@ -81,30 +81,6 @@ def test_an_accelerated_rotation_is_integrated_to_third_order():
     assert coarse < 1e-5
 
 
-def test_one_vehicle_and_a_batch_agree():
-    state, gyro = some_state()
-    walk = ProcessNoise(np.array([1e-6]), np.array([1e-7]), np.array([1e-8]))
-    residual, used = np.array([0.01, -0.02, 0.03]), np.array([True, False, True])
-
-    def stepped(batch):
-        state = state_of(batch)
-        earlier = np.stack([state.P, 2.0 * state.P], axis=-3)
-        state, P, F = predict(
-            state, earlier, np.broadcast_to(gyro, (*batch, 3)), np.broadcast_to(gyro, (*batch, 3)), walk, DT
-        )
-        prediction = predict_angles(state, estimate_rate(state.x, np.broadcast_to(gyro, (*batch, 3))))
-        variance = np.full((*batch, 3), 1e-6)
-        state, _, _ = correct(state, prediction, np.broadcast_to(residual, (*batch, 3)), variance, used)
-        moved = F.of(np.broadcast_to(np.eye(SIZE), (*batch, SIZE, SIZE)))
-        return *state, moved, P, *map(np.asarray, prediction)
-
-    def state_of(batch):
-        return type(state)(*(np.broadcast_to(part, (*batch, *part.shape)) for part in state))
-
-    for one, many in zip(stepped(()), stepped((2,)), strict=True):
-        np.testing.assert_allclose(many, np.stack([one, one]), rtol=1e-9, atol=1e-15)
-
-
 def flown(flights, seconds, seed):
     """Flights with gyro bias, scale error and delay: final error states (n, 16) and covariances."""
     rng = np.random.default_rng(seed)
