@@ -33,7 +33,6 @@ AP_BattMonitor (LogStructure.h each), AP_Motors/AP_MotorsMulticopter.cpp, SRV_Ch
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -53,7 +52,7 @@ from quadftc_replay.readers.ardupilot_tables import (
     stamps_of,
 )
 from quadftc_replay.readers.positioning import Fixes, add_receiver
-from quadftc_replay.readers.signals import Signals, columns, sound
+from quadftc_replay.readers.signals import DEGREE, Signals, columns, sound
 
 MAGNETOMETERS, BAROMETERS = ("MAG", "MAG2", "MAG3"), ("BARO", "BAR2", "BAR3")
 RECEIVERS, ACCURACIES = ("GPS", "GPS2"), ("GPA", "GPA2")
@@ -94,7 +93,6 @@ _FIELDS = {
 }
 SENSORS = {"gyros": ("GYR", _GYRO), "accelerometers": ("ACC", _FORCE)}  # message other than IMU, fields
 NAMES = {name: ("TimeUS", *INSTANCES, *fields) for name, fields in _FIELDS.items()}
-DEGREE = math.pi / 180.0  # rad
 # what a pilot or an autopilot did, of ``EV``; what failed, of ``ERR`` (LogEvent, LogErrorSubsystem)
 EVENTS = {
     10: "armed",
@@ -105,19 +103,15 @@ EVENTS = {
     28: "not landed",
     62: "EKF yaw reset",
 }
-SUBSYSTEMS = dict(
-    enumerate(
-        (
-            *("main loop", "radio", "compass", "optical flow", "radio failsafe", "battery failsafe"),
-            *("GPS failsafe", "GCS failsafe", "fence failsafe", "flight mode", "GPS", "crash check", "flip"),
-            *("autotune", "parachute", "EKF check", "EKF failsafe", "barometer", "CPU", "ADSB failsafe"),
-            *("terrain", "navigation", "terrain failsafe", "EKF primary", "thrust loss check"),
-            *("sensors failsafe", "leak failsafe", "pilot input", "vibration failsafe", "internal error"),
-            "dead reckoning failsafe",
-        ),
-        start=1,
-    )
+_SUBSYSTEMS = (
+    *("main loop", "radio", "compass", "optical flow", "radio failsafe", "battery failsafe"),
+    *("GPS failsafe", "GCS failsafe", "fence failsafe", "flight mode", "GPS", "crash check", "flip"),
+    *("autotune", "parachute", "EKF check", "EKF failsafe", "barometer", "CPU", "ADSB failsafe"),
+    *("terrain", "navigation", "terrain failsafe", "EKF primary", "thrust loss check"),
+    *("sensors failsafe", "leak failsafe", "pilot input", "vibration failsafe", "internal error"),
+    "dead reckoning failsafe",
 )
+SUBSYSTEMS = dict(enumerate(_SUBSYSTEMS, 1))
 
 
 def read(path: Path) -> FlightLog:

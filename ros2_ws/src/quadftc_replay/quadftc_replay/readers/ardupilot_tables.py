@@ -17,17 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_replay.readers.layouts import Layout, frame_layout
-from quadftc_replay.readers.signals import Signals, Stamps, columns, thrust_of_throttle
+from quadftc_replay.readers.signals import RPM, Signals, Stamps, columns, thrust_of_throttle
 
 Table = Mapping[str, NDArray[np.float64]]  # field to (n,)
 LEAST_SHARE = 0.01  # of the messages of the most frequent instance
 MAX_TIME = 2.0**62 / 1000.0  # µs
 INSTANCES = ("I", "Instance", "Inst", "C", "IMU")  # field that tells instances apart
-RPM = 2.0 * math.pi / 60.0  # rad/s
 TOGETHER = 0.005e9  # ns; reports of ESCs within this time are one sample
-MOTOR_FUNCTIONS = {33 + k: k for k in range(8)} | {
-    82 + k: 8 + k for k in range(4)
-}  # SERVOn_FUNCTION -> motor
+# SERVOn_FUNCTION -> motor
+MOTOR_FUNCTIONS = {33 + k: k for k in range(8)} | {82 + k: 8 + k for k in range(4)}
 LEAST_RANGE = 50.0  # µs; the pulses of a motor in flight differ by more
 OUTPUTS = 14  # in RCOU; SERVOn_FUNCTION of each is one of these
 CLASSES = {1: 4, 2: 6, 3: 8}  # FRAME_CLASS -> rotors

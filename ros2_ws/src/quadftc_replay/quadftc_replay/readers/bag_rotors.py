@@ -16,7 +16,7 @@ import numpy as np
 from quadftc_model.arrays import AnyArray
 from quadftc_model.vehicle import Vehicle
 from quadftc_replay.readers.bag_columns import Choose, Columns, is_named, trailing_number
-from quadftc_replay.readers.signals import Signals
+from quadftc_replay.readers.signals import RPM, Signals
 
 JOINTS, ACTUATORS = "sensor_msgs/msg/JointState", "actuator_msgs/msg/Actuators"
 MAV_ACTUATORS = "mav_msgs/msg/Actuators"  # of ROS 1
@@ -29,7 +29,6 @@ IS_COMMAND = re.compile(
 )
 ASKED = re.compile(r"command|cmd|setpoint|reference|desired|target|throttle|pwm", re.IGNORECASE)
 FEWEST, MOST = 3, 16  # rotors
-RPM = np.pi / 30.0  # rad/s
 
 
 def _first_filled(fields: Columns, names: tuple[str, ...]) -> Columns:

@@ -37,9 +37,8 @@ from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.blackbox import BlackboxLog, read_blackbox, whole_number
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.layouts import Layout, frame_layout, mixer_layout
-from quadftc_replay.readers.signals import Signals
+from quadftc_replay.readers.signals import DEGREE, Signals
 
-DEGREE = math.pi / 180.0  # rad
 GYROS = ("gyroADC", "gyroUnfilt", "gyroData")
 TERMS = ("axisP", "axisI", "axisD", "axisF")
 BATTERY = ("vbatLatest", "vbat")

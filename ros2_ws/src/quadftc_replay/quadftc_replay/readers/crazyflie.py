@@ -26,7 +26,6 @@ power_distribution_quadrotor.c).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -38,13 +37,11 @@ from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.layouts import Layout
-from quadftc_replay.readers.signals import Signals, Stamps, columns
+from quadftc_replay.readers.signals import DEGREE, MILLI, RPM, Signals, Stamps, columns
 from quadftc_replay.usdlog import EventRows, read_usdlog
 
 FORMAT = "Crazyflie uSD"
 VEHICLE = "crazyflie_2x"
-DEGREE = math.pi / 180.0  # rad
-RPM = 2.0 * math.pi / 60.0  # rad/s
 FULL = 65535.0  # motor command at full thrust
 NO_SPEED = 65535.0  # rpm; the telemetry of a motor has no value
 
@@ -63,7 +60,6 @@ def _source(group: str, elements: str, *scale: float, offset: Sequence[float] = 
     return Source(names, scales, offset or [0.0] * len(names))
 
 
-MILLI = 1e-3
 MILLIGAUSS = 1e3  # of a gauss
 RATES = (
     _source("gyro.", "x y z", DEGREE),

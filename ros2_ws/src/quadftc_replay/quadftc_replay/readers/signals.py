@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping
@@ -18,6 +19,7 @@ from quadftc_replay.flight_log import Event, FlightLog, Floats, Signal, Watched
 from quadftc_replay.readers.layouts import Layout
 
 Stamps = NDArray[np.int64]
+DEGREE, RPM, MILLI = math.pi / 180.0, math.pi / 30.0, 1e-3  # rad; rad/s; 1
 MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a damaged stamp
 LARGEST = 1e9  # of a parameter, and of a measurement in SI
 NAMED = (

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -39,13 +38,12 @@ from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.small_files import read_toml
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.contents import list_some
-from quadftc_replay.readers.signals import NAMED, Signals
+from quadftc_replay.readers.signals import DEGREE, NAMED, RPM, Signals
 from quadftc_replay.thinning import Thinning
 
 MOST_ROTORS = 16
 Turn = Callable[[Floats], Floats]
-_DEGREE = math.pi / 180.0  # rad
-_RATE = {"rad/s": 1.0, "deg/s": _DEGREE, "mrad/s": 1e-3}
+_RATE = {"rad/s": 1.0, "deg/s": DEGREE, "mrad/s": 1e-3}
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _SPEED = {f"{unit}/s": scale for unit, scale in _LENGTH.items()}
 _FORCE = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}
@@ -93,14 +91,14 @@ QUANTITIES = {
     "accelerometer": Quantity("accelerometers", _THREE, _FORCE, _BODY),
     "magnetometer": Quantity("magnetometers", _THREE, _FIELD, _BODY),
     "barometer": Quantity("barometers", _ONE, _LENGTH, {}),
-    "attitude": Quantity("attitude", range(3, 5), {"rad": 1.0, "deg": _DEGREE, "1": 1.0}, _ATTITUDE),
+    "attitude": Quantity("attitude", range(3, 5), {"rad": 1.0, "deg": DEGREE, "1": 1.0}, _ATTITUDE),
     "body_rate": Quantity("body_rate", _THREE, _RATE, _BODY),
     "position": Quantity("position", _THREE, _LENGTH, _EARTH),
     "velocity": Quantity("velocity", _THREE, _SPEED, _EARTH),
     "gps_position": Quantity("gps_positions", _THREE, _LENGTH, _EARTH),
     "gps_velocity": Quantity("gps_velocities", _THREE, _SPEED, _EARTH),
     "acceleration": Quantity("acceleration", _THREE, _FORCE, _EARTH),
-    "rotor_speeds": Quantity("rotor_speeds", _ROTORS, {"rad/s": 1.0, "rpm": math.pi / 30.0}, {}),
+    "rotor_speeds": Quantity("rotor_speeds", _ROTORS, {"rad/s": 1.0, "rpm": RPM}, {}),
     "rotor_commands": Quantity("rotor_commands", _ROTORS, {"1": 1.0, "%": 0.01, "us": 1.0}, {}),
     "torque_command": Quantity("torque_command", _THREE, {"N m": 1.0, "1": 1.0}, _BODY),
     "thrust_command": Quantity("thrust_command", _ONE, {"1": 1.0}, {}),

@@ -27,7 +27,6 @@ Source: mavlink.io/en/messages/common.html, ardupilotmega.html; ArduPilot, GCS_M
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -43,12 +42,11 @@ from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.mavlink import RECEIVED, read_telemetry
 from quadftc_replay.readers.ardupilot_tables import OUTPUTS, add_rotors
 from quadftc_replay.readers.positioning import Fixes, add_receiver, pressure_height
-from quadftc_replay.readers.signals import Signals, Stamps, columns, sound
+from quadftc_replay.readers.signals import DEGREE, MILLI, Signals, Stamps, columns, sound
 
 FORMAT = "MAVLink tlog"
 Table = Mapping[str, AnyArray]
 
-MILLI = 1e-3
 # message -> (gyro [rad/s], accelerometer [m/s²]) of one; its name among several
 IMUS = {
     "HIGHRES_IMU": ((1.0, 1.0), ""),
@@ -70,7 +68,6 @@ MOVING = ("ATTITUDE", "ATTITUDE_QUATERNION", "SERVO_OUTPUT_RAW", *IMUS)  # what 
 ARDUPILOT = 3  # MAV_AUTOPILOT
 STEP_BACK = 1_000_000  # µs; a clock that goes back by more was set anew
 RADIUS = 6_371_000.0  # m, of the earth
-DEGREE = math.pi / 180.0  # rad
 NO_VOLTAGE = 65535  # mV
 NOT_KNOWN = 65535  # of a speed
 HECTOPASCAL = 100.0  # Pa

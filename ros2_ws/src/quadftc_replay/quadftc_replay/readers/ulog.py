@@ -44,7 +44,7 @@ from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_fr
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.layouts import Layout, frame_layout
-from quadftc_replay.readers.signals import Signals, sound, thrust_of_throttle
+from quadftc_replay.readers.signals import RPM, Signals, sound, thrust_of_throttle
 from quadftc_replay.readers.ulog_datasets import Dataset, fields_of, stamps_of, vectors
 from quadftc_replay.readers.ulog_navigation import NAVIGATION, add_navigation
 from quadftc_replay.thinning import Messages
@@ -78,7 +78,6 @@ TOPICS = (
 INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
 LEAST_RATE = 20.0  # Hz; slower instances are PX4's spot checks of sensors that do not fly the vehicle
 HEADER = 3  # bytes of a message before its content
-RPM = 2.0 * math.pi / 60.0  # rad/s
 FIRST_MOTOR = 101  # actuator output function of motor 1
 MAX_MOTORS = 12
 CAN_FULL = 8191.0  # output to an ESC on a CAN bus at full thrust
