@@ -104,6 +104,7 @@ def _check_cost(cost: dict[str, float]) -> dict[str, float]:
 
 Drawn = Annotated[Distribution, PlainValidator(distribution)]
 VaryingPath = Annotated[str, AfterValidator(_check_path)]
+KindAlone = BeforeValidator(lambda raw: {"kind": raw} if isinstance(raw, str) else raw)
 
 
 class SourceKeys(_Keys):
@@ -112,10 +113,6 @@ class SourceKeys(_Keys):
     kind: Literal["loop", "motion", "recordings", "sitl"] = "loop"
     directory: str = ""
     delay: Drawn | None = None
-
-
-def _kind_alone(raw: object) -> object:
-    return {"kind": raw} if isinstance(raw, str) else raw
 
 
 class TuneKeys(_Keys):
@@ -137,7 +134,7 @@ class CampaignKeys(_Keys):
     scenario: str
     gains: str = ""
     set: list[str] = []
-    source: Annotated[SourceKeys, BeforeValidator(_kind_alone)] = SourceKeys()
+    source: Annotated[SourceKeys, KindAlone] = SourceKeys()
     flights: int = Field(ge=1, le=MAX_FLIGHTS)
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
     schemes: list[str] | Literal["all"] = []

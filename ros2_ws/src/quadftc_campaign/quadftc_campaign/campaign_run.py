@@ -35,7 +35,6 @@ from quadftc_campaign.workers import devices, run_tasks, started_workers
 from quadftc_flight.diagnosis_metrics.columns import Record
 from quadftc_flight.scenario import Scenario
 from quadftc_flight.summary import Summary
-from quadftc_model.composition import Composition
 from quadftc_sim.assembly import sample_count
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
@@ -109,7 +108,9 @@ class CampaignRun:
         missing = self._missing()
         scenarios = [first[place] for place in missing]
         if self.campaign.engine == "c":
-            compile_laws(loop for scenario in scenarios for loop in _loops_of(self.campaign, scenario))
+            is_loop = self.campaign.source.kind == "loop"
+            loops = ([batch_flight(each).loop] if is_loop else loops_of(each) for each in scenarios)
+            compile_laws(itertools.chain.from_iterable(loops))
         counts = (sample_count(scenario.duration, scenario.rate) for scenario in scenarios)
         samples = sum(len(left) * count for left, count in zip(missing.values(), counts, strict=True))
         return Extent(len(self._chunks), len(missing), samples, damaged)
@@ -240,12 +241,6 @@ def fly_chunk(
             if time.monotonic() > end:
                 return rows
     return rows
-
-
-def _loops_of(campaign: Campaign, scenario: Scenario) -> list[Composition]:
-    """Return what flies a flight of a campaign."""
-    is_loop = campaign.source.kind == "loop"
-    return [batch_flight(scenario).loop] if is_loop else loops_of(scenario)
 
 
 def _fly_loop(

@@ -89,7 +89,7 @@ def actuated(
 
 def _healthy_forces(vehicle: Vehicle, wanted: Components) -> tuple[Components, Components]:
     """Thrusts of healthy rotors (..., n) [N], and the wrench (..., 4) that they give."""
-    low, high = _range_of(vehicle)
+    low, high = vehicle.rotors.thrust_range
     forces = wanted @ vehicle.force_allocation.T
     outside = ((forces < low) | (forces > high)).any(axis=-1)
     given = branch(outside, lambda: _prioritised(vehicle, wanted), lambda: wanted)
@@ -101,20 +101,14 @@ def _weak_forces(
 ) -> tuple[Components, Components]:
     """The same of rotors that are weak: what healthy ones would give at the same speed, and the wrench."""
     thrusts, given = weak_thrusts(vehicle, wanted, effectiveness)
-    forces = clip(thrusts / larger(effectiveness, NOTHING), *_range_of(vehicle))
+    forces = clip(thrusts / larger(effectiveness, NOTHING), *vehicle.rotors.thrust_range)
     asked = PROBE * vehicle.weight / effectiveness.shape[-1]
     return where(effectiveness < NOTHING, larger(forces, asked), forces), given
 
 
-def _range_of(vehicle: Vehicle) -> tuple[float, float]:
-    """Least and largest thrust of a healthy rotor [N]."""
-    rotors = vehicle.rotors
-    return rotors.thrust_coefficient * rotors.speed_min**2, rotors.thrust_coefficient * rotors.speed_max**2
-
-
 def _prioritised(vehicle: Vehicle, wanted: Components) -> Components:
     """Thrust and torque (..., 4) nearest to those wanted by which no rotor leaves its range."""
-    low, high = _range_of(vehicle)
+    low, high = vehicle.rotors.thrust_range
     slack = _ROUNDING * high
     thrust, tilt, yaw = wanted[..., :1], wanted[..., 1:3], wanted[..., 3:]
     share, by_tilt, by_yaw = (vehicle.force_allocation[:, each] for each in (0, slice(1, 3), 3))

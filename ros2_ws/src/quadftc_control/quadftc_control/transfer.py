@@ -103,7 +103,8 @@ class Transfer:
         if before is not None:
             self._begin(stamp_ns, _turn_between(sample, before, elapsed), held=self._reckoning)
         elif raw and self._fault is not None:
-            self._begin(stamp_ns, _turn_of(sample, self._fault), held=True)
+            right = quaternion_from_euler(euler_from_quaternion(sample.q_xyzw) - self._fault)
+            self._begin(stamp_ns, rotation_between(sample.q_xyzw, right), held=True)
         else:
             self._blending = False
 
@@ -139,12 +140,6 @@ class Transfer:
         if self._held:
             return min(1.0, 1.0 - (elapsed - self.patience.correction_hold) / self.patience.correction_fade)
         return 1.0 - elapsed / self.patience.blend
-
-
-def _turn_of(sample: ImuSample, fault: Vector) -> Vector:
-    """Rotation vector [rad] (3,) from a sample to what it would be without a fault (3,) [rad]."""
-    right = quaternion_from_euler(euler_from_quaternion(sample.q_xyzw) - fault)
-    return rotation_between(sample.q_xyzw, right)
 
 
 def _turn_between(sample: ImuSample, before: ImuSample, elapsed: float) -> Vector:

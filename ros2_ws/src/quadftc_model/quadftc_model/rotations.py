@@ -152,7 +152,8 @@ def euler_rates(angles: Vector, body_rate: Vector) -> Vector:
     """
     (c_phi, c_theta, _), (s_phi, s_theta, _) = components(cos(angles)), components(sin(angles))
     p, q, r = components(body_rate)
-    psi_dot = (s_phi * q + c_phi * r) / away_from_zero(c_theta)
+    bounded = where(c_theta < 0.0, -1.0, 1.0) * larger(abs(c_theta), MIN_COS_PITCH)
+    psi_dot = (s_phi * q + c_phi * r) / bounded
     return stacked([p + s_theta * psi_dot, c_phi * q - s_phi * r, psi_dot])
 
 
@@ -178,8 +179,3 @@ def body_acceleration(angles: Vector, angle_rates: Vector, angle_accelerations: 
         [-c_theta * theta_dot * psi_dot, phi_dot * r - s_phi * lean, -phi_dot * q - c_phi * lean]
     )
     return body_rates(angles, angle_accelerations) + convective
-
-
-def away_from_zero(cosine: Scalar) -> Scalar:
-    """Keep the cosine of pitch (...) ``MIN_COS_PITCH`` away from zero."""
-    return where(cosine < 0.0, -1.0, 1.0) * larger(abs(cosine), MIN_COS_PITCH)

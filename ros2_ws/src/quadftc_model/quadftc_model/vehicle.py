@@ -61,6 +61,11 @@ class Rotors:
         """Speed at the largest command [rad/s]."""
         return self._speed_at(self.command_max)
 
+    @property
+    def thrust_range(self) -> tuple[float, float]:
+        """Least and largest thrust of a rotor [N]."""
+        return self.thrust_coefficient * self.speed_min**2, self.thrust_coefficient * self.speed_max**2
+
     @prepared
     def torque_to_thrust(self) -> float:
         """Reaction torque over thrust [m]."""

@@ -162,7 +162,7 @@ def _check_inertia(vehicle: Vehicle) -> None:
 def _check_hover(vehicle: Vehicle) -> None:
     """In hover each rotor is within its limits, and leaves torque about each axis."""
     rotors = vehicle.rotors
-    least, most = (rotors.thrust_coefficient * speed**2 for speed in (rotors.speed_min, rotors.speed_max))
+    least, most = rotors.thrust_range
     inverse = np.linalg.pinv(vehicle.effectiveness)  # (n, 4)
     thrusts = inverse[:, 0] * vehicle.weight
     if np.any(thrusts < least) or np.any(thrusts > most):

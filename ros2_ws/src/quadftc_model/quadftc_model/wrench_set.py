@@ -94,10 +94,9 @@ def wrench_set(effect: Floats) -> WrenchSet:
 
 def limits(vehicle: Vehicle, effectiveness: Components | None = None) -> Components:
     """Limits (..., 2 n) [N] of the thrusts of rotors, all the least ones first."""
-    rotors = vehicle.rotors
-    least, most = (rotors.thrust_coefficient * speed**2 for speed in (rotors.speed_min, rotors.speed_max))
+    least, most = vehicle.rotors.thrust_range
     if effectiveness is None:
-        effectiveness = np.ones(len(rotors.positions))
+        effectiveness = np.ones(len(vehicle.rotors.positions))
     xp = namespace(effectiveness)
     return xp.concatenate([least * effectiveness, most * effectiveness], axis=-1)
 
