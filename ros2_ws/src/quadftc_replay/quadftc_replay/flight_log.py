@@ -50,6 +50,11 @@ class Signal(NamedTuple):
         """One over the median time between two samples [Hz]; 0 for less than two."""
         return 1.0 / float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
 
+    def whole(self) -> Signal:
+        """Its samples that lack no component."""
+        rows = np.isfinite(self.value).all(axis=1)
+        return Signal(self.time[rows], self.value[rows])
+
     def integral(self) -> Signal:
         """Its integral since the first sample, straight between samples; what is not known counts as zero."""
         means = 0.5 * (self.value[1:] + self.value[:-1]) * np.diff(self.time)[:, None]

@@ -7,7 +7,6 @@ accelerometer of the same name the latest reading counts. Torque is known where 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -67,13 +66,12 @@ def recording_of(log: FlightLog, topic: str = "") -> Recording:
 
 
 def _gyro(log: FlightLog, topic: str) -> tuple[str, Signal]:
-    gyros: Mapping[str, Signal] = log.gyros
-    if topic not in gyros:
-        named = [f"'{name}'" for name in gyros if name != MAIN]
-        there = ", ".join(["the main one"] * (MAIN in gyros) + named) or "none"
+    if topic not in log.gyros:
+        named = [f"'{name}'" for name in log.gyros if name != MAIN]
+        there = ", ".join(["the main one"] * (MAIN in log.gyros) + named) or "none"
         problem = f"no gyro '{topic}'" if topic else "no gyro"
         raise BagError(f"{log.path}: {problem} in this {log.format} log; gyros there: {there}")
-    return f"gyro {topic}".strip(), gyros[topic]
+    return f"gyro {topic}".strip(), log.gyros[topic]
 
 
 def _stamps(log: FlightLog, signal: Signal) -> Stamps:

@@ -44,13 +44,12 @@ class Agreement(NamedTuple):
 
 def compare(attitude: Signal, gyro: Signal) -> Agreement | None:
     """Compare an attitude (n, 4) with a gyro (m, 3); None if they hardly overlap."""
-    whole = np.isfinite(gyro.value).all(axis=1)
-    gyro_time, rates = gyro.time[whole], gyro.value[whole]
+    turning = gyro.whole()
+    gyro_time = turning.time
     time, q = _thinned(attitude, max(float(gyro_time[0]), 0.0) if len(gyro_time) else 0.0, gyro_time)
     if len(time) < 50 or len(gyro_time) < 50:
         return None
     steps = np.diff(gyro_time)
-    turning = Signal(gyro_time, rates)
     at, rate = turning.integral().at(time), turning.at(time)
     dt, theta, turn = np.diff(time), np.diff(at, axis=0), rotation_between(q[:-1], q[1:])
     usual = float(np.median(dt))

@@ -60,7 +60,7 @@ def upset_at(flight: Flight) -> float | None:
     if log.attitude is None:
         return None
     time = log.attitude.time
-    tilt = np.arccos(np.clip(earth_z_in_body(log.attitude.value)[..., 2], -1.0, 1.0))
+    tilt = tilt_of(log.attitude)
     before_impact = time <= (np.inf if flight.crash is None else flight.crash)
     for run in runs_of((tilt > UPSET) & before_impact & _powered(flight, time)):
         start, end = float(time[run.start]), float(time[run.stop - 1])
@@ -70,6 +70,11 @@ def upset_at(flight: Flight) -> float | None:
         if end - start >= LASTS and _turns_against(flight, start - SOON, end):
             return start
     return None
+
+
+def tilt_of(attitude: Signal) -> Floats:
+    """Tilt of each sample of an attitude (n,) [rad]."""
+    return np.arccos(np.clip(earth_z_in_body(attitude.value)[..., 2], -1.0, 1.0))
 
 
 def _powered(flight: Flight, time: Floats) -> Mask:

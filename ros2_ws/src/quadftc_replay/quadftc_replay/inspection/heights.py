@@ -66,8 +66,7 @@ def velocity_findings(flight: Flight) -> Iterator[Found]:
     attitude, force = flight.log.attitude, next(iter(flight.log.accelerometers.values()), None)
     if attitude is None or force is None or len(attitude) < 2:
         return
-    whole = np.isfinite(force.value).all(axis=1)
-    time, value = force.time[whole], force.value[whole]
+    time, value = force.whole()
     if len(time) < 2:
         return
     acceleration = to_earth(attitude_at(attitude, time), value) - [0.0, 0.0, STANDARD_GRAVITY]
@@ -119,9 +118,7 @@ def _noise(
     flight: Flight, component: str, residual: Signal, names: tuple[str, ...], least: float
 ) -> Iterator[Found]:
     """Say when what is left of a sensor gets noisy."""
-    known = np.isfinite(residual.value).all(axis=1)
-    whole = Signal(residual.time[known], residual.value[known])
-    return noise_findings(flight, component, whole, names, "m", least, alone=False)
+    return noise_findings(flight, component, residual.whole(), names, "m", least, alone=False)
 
 
 def _receivers(flight: Flight) -> dict[str, Signal]:

@@ -68,7 +68,7 @@ def drive_of(log: FlightLog) -> tuple[str, Signal] | None:
         ("torque_command", log.torque_command),
     )
     for name, each in named:
-        if each is not None and each.rate >= SLOWEST and np.isfinite(each.value).all(axis=1).sum() > FEWEST:
+        if each is not None and each.rate >= SLOWEST and len(each.whole()) > FEWEST:
             return name, each
     return None
 
@@ -117,10 +117,9 @@ def identify(flight: Flight) -> Identified | None:
 
 def bin_means(edges: Floats, sensor: Signal, hold: bool) -> Floats:
     """Means over bins (n - 1, k); a signal is held from sample to sample, or goes straight between them."""
-    whole = np.isfinite(sensor.value).all(axis=1)
-    time, value = sensor.time[whole], sensor.value[whole]
+    time, value = sensor.whole()
     if len(time) < 2:
-        return np.full((len(edges) - 1, sensor.value.shape[1]), np.nan)
+        return np.full((len(edges) - 1, value.shape[1]), np.nan)
     between = value[:-1] if hold else 0.5 * (value[:-1] + value[1:])
     total = np.cumsum(between * np.diff(time)[:, None], axis=0)
     at = Signal(time, np.concatenate([np.zeros((1, value.shape[1])), total])).at(edges)
@@ -129,7 +128,7 @@ def bin_means(edges: Floats, sensor: Signal, hold: bool) -> Floats:
 
 def _has_samples(edges: Floats, sensor: Signal, slack: float) -> Mask:
     """Whether each bin is within reach of a sample on both sides (n - 1,)."""
-    time = sensor.time[np.isfinite(sensor.value).all(axis=1)]
+    time = sensor.whole().time
     if len(time) < 2:
         return np.zeros(len(edges) - 1, np.bool_)
     after = time[np.clip(np.searchsorted(time, edges[1:]), 0, len(time) - 1)]

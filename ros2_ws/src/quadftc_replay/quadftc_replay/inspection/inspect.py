@@ -26,7 +26,7 @@ from quadftc_replay.inspection.pairs import owner_by_other
 from quadftc_replay.inspection.path import WINDOW
 from quadftc_replay.inspection.readings import absent_findings, noise_findings, reading_findings
 from quadftc_replay.inspection.response import response_findings
-from quadftc_replay.inspection.rotors import Rotors, judge_rotors
+from quadftc_replay.inspection.rotors import judge_rotors
 from quadftc_replay.inspection.steps import LIMITS, SLOWEST
 from quadftc_replay.inspection.thrust import thrust_findings
 from quadftc_replay.inspection.verdict import NotJudged, Verdict
@@ -83,7 +83,10 @@ def inspect(
     progress(0.7)
     inspection.found += found
     inspection.judged += judged
-    rotors = _rotors(flight, baseline, inspection)
+    rotors = judge_rotors(flight, baseline)
+    inspection.found += rotors.found
+    inspection.judged += ["rotor"] if rotors.judged else []
+    inspection.missing += rotors.missing
     inspection.found += [*deaf_findings(flight), *response_findings(flight), *thrust_findings(flight)]
     progress(0.8)
     if (reason := cannot_judge_battery(flight)) is None:
@@ -132,13 +135,8 @@ def _readings(flight: Flight, gyros: dict[str, Signal]) -> list[Found]:
 def _longest(flight: Flight, sensor: Signal | None) -> Signal | None:
     """Return the other signal that goes on longest, as a witness of a sensor that stops."""
     log = flight.log
-    signals = [
-        *log.gyros.values(),
-        *log.accelerometers.values(),
-        log.attitude,
-        log.rotor_commands,
-        log.rotor_speeds,
-    ]
+    named = log.attitude, log.rotor_commands, log.rotor_speeds
+    signals = [*log.gyros.values(), *log.accelerometers.values(), *named]
     others = [each for each in signals if each is not None and each is not sensor and len(each) > 1]
     return max(others, key=lambda each: (round(float(each.time[-1])), each.rate), default=None)
 
@@ -215,14 +213,6 @@ def _accelerometers(flight: Flight, has_path: bool, inspection: _Inspection) -> 
         inspection.found += accelerometer_findings(flight, component, sensor, others)
     if not sensors:
         inspection.cannot("accelerometer", "no specific force is logged")
-
-
-def _rotors(flight: Flight, baseline: FlightLog | None, inspection: _Inspection) -> Rotors:
-    rotors = judge_rotors(flight, baseline)
-    inspection.found += rotors.found
-    inspection.judged += ["rotor"] if rotors.judged else []
-    inspection.missing += rotors.missing
-    return rotors
 
 
 def _creeping(

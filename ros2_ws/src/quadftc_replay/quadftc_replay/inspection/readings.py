@@ -111,8 +111,7 @@ def limit_intervals(time: Floats, values: Floats) -> list[Interval]:
 
 def absent_intervals(flight: Flight, sensor: Signal, others: Signal | None) -> list[Interval]:
     """Stretches in flight without usable readings, while another sensor goes on."""
-    whole = np.isfinite(sensor.value).all(axis=1)
-    times = sensor.time[whole]
+    times = sensor.whole().time
     if len(times) < 2:
         return []
     begin = flight.intervals[0].start if flight.phases_known else float(sensor.time[0])

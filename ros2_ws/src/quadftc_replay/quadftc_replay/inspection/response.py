@@ -23,9 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.rotations import earth_z_in_body
 from quadftc_replay.flight_log import Signal
-from quadftc_replay.inspection.ending import UPSET
+from quadftc_replay.inspection.ending import UPSET, tilt_of
 from quadftc_replay.inspection.flight import (
     FLYING,
     HELD,
@@ -41,7 +40,7 @@ from quadftc_replay.inspection.found import Curve, Found, confidence, make_found
 from quadftc_replay.inspection.identification import FINE, LAGS, STANDS, bin_means, lagged
 from quadftc_replay.inspection.rotor_step import ASIDE, FASTEST, fast_commands
 from quadftc_replay.inspection.rotor_trim import BETWEEN_VEHICLES, effects
-from quadftc_replay.inspection.rotors import asked_share
+from quadftc_replay.inspection.rotors import asked_share, speed_curve
 from quadftc_replay.inspection.whitening import Floats
 
 AXES = ("roll", "pitch", "yaw")
@@ -108,7 +107,7 @@ def turning_over(flight: Flight) -> Interval | None:
     if log.attitude is None or level is None or len(log.attitude) < 2:
         return None
     time, thrust = log.attitude.time, np.nan_to_num(level.value[:, 0])
-    tilt = _tilt(log.attitude)
+    tilt = tilt_of(log.attitude)
     for k in np.flatnonzero((tilt[1:] > UPSET) & (tilt[:-1] <= UPSET)).tolist():
         over = float(np.interp([UPSET], tilt[k : k + 2], time[k : k + 2])[0])
         before = thrust[(level.time > over - TAKE_OFF) & (level.time <= over)]
@@ -138,12 +137,7 @@ def spinning(flight: Flight) -> Interval | None:
     attitude = flight.log.attitude
     if span is None or attitude is None or not len(attitude):
         return span
-    return None if np.any(_tilt(attitude)[attitude.time <= span.end] > UPSET) else span
-
-
-def _tilt(attitude: Signal) -> Floats:
-    """Tilt of each sample of an attitude [rad]."""
-    return np.arccos(np.clip(earth_z_in_body(attitude.value)[..., 2], -1.0, 1.0))
+    return None if np.any(tilt_of(attitude)[attitude.time <= span.end] > UPSET) else span
 
 
 def _growing(flight: Flight, start: float, end: float) -> Interval | None:
@@ -191,8 +185,7 @@ def _standing_found(flight: Flight, span: Interval, rotor: int) -> Found:
     speeds = flight.log.rotor_speeds
     assert speeds is not None  # else no rotor is known to stand
     said = f"it stands as the vehicle takes off and turns, from {span.start:.2f} to {span.end:.2f} s"
-    lines = {f"rotor {k + 1}": speeds.value[:, k] for k in range(speeds.value.shape[1])}
-    curve = Curve("speed of the rotors", "rad/s", speeds.time, lines)
+    curve = speed_curve(speeds)
     return make_found("rotor", str(rotor + 1), "off", span.start, curve=curve, evidence=(said,))
 
 
@@ -360,10 +353,8 @@ def yaw_reversed(motion: Motion, layout: Floats, _places: Floats) -> Wiring | No
 
     def left(row: Floats, is_pushed: bool = False) -> float:
         """Share of the spin that a row of a layout (rotors,) leaves, behind the best lag."""
-        return (
-            LEFT
-            + min(_left_of_yaw(turned, drive, row, is_pushed) for drive in motion.commands.values()) / square
-        )
+        least = min(_left_of_yaw(turned, drive, row, is_pushed) for drive in motion.commands.values())
+        return LEFT + least / square
 
     row = layout[2]
     best, sound = left(-row), left(row)

@@ -128,8 +128,7 @@ def _put_together(flight: Flight, commands: Signal, layout: Floats, axes: tuple[
         return None
     gyro = flight.gyro[1]
     stride = max(1, round(commands.rate / FASTEST))
-    whole = np.isfinite(commands.value).all(axis=1)
-    time, value = commands.time[whole][::stride], commands.value[whole][::stride]
+    time, value = (each[::stride] for each in commands.whole())
     inside = (time > gyro.time[0]) & (time < gyro.time[-1])
     time, value = time[inside], value[inside]
     if len(time) < LEAST_FLOWN or gyro.rate < 5.0:

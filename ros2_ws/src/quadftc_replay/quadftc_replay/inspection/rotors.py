@@ -174,13 +174,11 @@ def _standing(flight: Flight) -> Iterator[Found]:
                 break
             speed, rest = float(speeds[run, rotor].mean()), float(others[run].mean())
             said = [f"it turns at {speed:.0f} rad/s while the others turn at {rest:.0f} rad/s"]
-            share = None if asked is None else f"{100 * asked:.0f} % of what the others are asked for"
-            told = (
-                f"as it slows down, it is asked for {share}"
-                if share
-                else "whether it was told to is not logged"
-            )
-            said.append(told)
+            if asked is None:
+                said.append("whether it was told to is not logged")
+            else:
+                share = f"{100 * asked:.0f} % of what the others are asked for"
+                said.append(f"as it slows down, it is asked for {share}")
             probability = UNASKED if asked is None else (ASKED if is_asked else CERTAIN)
             yield make_found(
                 *("rotor", str(rotor + 1), "off", onset),
@@ -190,7 +188,7 @@ def _standing(flight: Flight) -> Iterator[Found]:
                 probability=probability,
                 ambiguous_with=() if probability == CERTAIN else ("command",),
                 evidence=tuple(said),
-                curve=_speed_curve(sensor),
+                curve=speed_curve(sensor),
             )
             break
 
@@ -215,11 +213,12 @@ def _flies_on(flight: Flight, moment: Interval) -> bool:
 
 def _speed_absent(sensor: Signal, rotor: int, onset: float, end: float) -> Found:
     said = "it reads next to nothing, and the vehicle flies on as before: no rotor has stopped"
-    curve, name = _speed_curve(sensor), ("speed sensor", str(rotor + 1), "absent")
+    curve, name = speed_curve(sensor), ("speed sensor", str(rotor + 1), "absent")
     return make_found(*name, onset, curve=curve, end_s=end, evidence=(said,))
 
 
-def _speed_curve(sensor: Signal) -> Curve:
+def speed_curve(sensor: Signal) -> Curve:
+    """Return the measured speeds (n, rotors) as a curve."""
     lines = {f"rotor {k + 1}": sensor.value[:, k] for k in range(sensor.value.shape[1])}
     return Curve("speed of the rotors", "rad/s", sensor.time, lines)
 

@@ -19,8 +19,7 @@ RPM = 30.0 / math.pi  # of 1 rad/s
 
 def thin(signal: Signal, rate: float) -> Signal:
     """Take what is newest at each tick of a rate [Hz]; rows that lack a component are left out."""
-    there = np.isfinite(signal.value).all(axis=1)
-    time, value = signal.time[there], signal.value[there]
+    time, value = signal.whole()
     if not len(time):
         return Signal(time, value)
     ticks = np.arange(time[0], time[-1] + SLACK, 1.0 / rate)
