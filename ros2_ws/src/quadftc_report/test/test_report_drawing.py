@@ -119,26 +119,32 @@ def test_pdf_carries_truetype_text_and_its_caption(printed):
     assert b"What one sees: 1 deg." in content
 
 
+@pytest.fixture
+def print_style():
+    with mpl.rc_context({**mpl.rcParamsDefault, **STYLE}):
+        yield
+
+
+@pytest.mark.usefixtures("print_style")
 @pytest.mark.parametrize("figure", FIGURES)
 def test_nothing_of_the_print_is_clipped_and_no_text_overlaps(figure):
-    with mpl.rc_context({**mpl.rcParamsDefault, **STYLE}):
-        canvas = draw(FIGURES[figure]())
-        canvas.draw_without_rendering()
-        page = canvas.bbox
-        (legend,) = canvas.legends
-        boxes = {
-            label.get_text(): label.get_window_extent() for ax in canvas.axes for label in (ax.yaxis.label,)
-        }
-        boxes["legend"] = legend.get_window_extent()
-        boxes["time"] = canvas.axes[-1].xaxis.label.get_window_extent()
-        panels = [ax.get_window_extent() for ax in canvas.axes]
-        for box in [*boxes.values(), *(ax.get_tightbbox() for ax in canvas.axes)]:
-            assert page.x0 <= box.x0 < box.x1 <= page.x1
-            assert page.y0 <= box.y0 < box.y1 <= page.y1
-        for one, other in itertools.combinations([*boxes.values(), *panels], 2):
-            assert not one.overlaps(other)
-        assert len({panel.x0 for panel in panels}) == 1
-        assert all(panel.height > 0.6 * canvas.dpi for panel in panels)
+    canvas = draw(FIGURES[figure]())
+    canvas.draw_without_rendering()
+    page = canvas.bbox
+    (legend,) = canvas.legends
+    boxes = [ax.yaxis.label.get_window_extent() for ax in canvas.axes]
+    boxes += [legend.get_window_extent(), canvas.axes[-1].xaxis.label.get_window_extent()]
+    panels = [ax.get_window_extent() for ax in canvas.axes]
+    for box in [*boxes, *(ax.get_tightbbox() for ax in canvas.axes)]:
+        assert page.x0 <= box.x0 < box.x1 <= page.x1
+        assert page.y0 <= box.y0 < box.y1 <= page.y1
+    for one, other in itertools.combinations([*boxes, *panels], 2):
+        assert not one.overlaps(other)
+    assert len({panel.x0 for panel in panels}) == 1
+    assert all(panel.height > 0.6 * canvas.dpi for panel in panels)
+
+
+WORDS = ("starting", "healthy", "suspect", "faulty")
 
 
 def worded() -> Figure:
@@ -149,39 +155,36 @@ def worded() -> Figure:
         y_label="roll",
         unit="",
         traces=(Trace("proposed", "proposed", TIME, state),),
-        ticks=((0.0, "starting"), (1.0, "healthy"), (2.0, "suspect"), (3.0, "faulty")),
+        ticks=tuple(enumerate(WORDS)),
     )
     return single(panels=(panel,))
 
 
+@pytest.mark.usefixtures("print_style")
 def test_print_has_words_for_ticks_where_they_are_given():
-    with mpl.rc_context({**mpl.rcParamsDefault, **STYLE}):
-        (ax,) = draw(worded()).axes
-        assert [label.get_text() for label in ax.get_yticklabels()] == [
-            *("starting", "healthy", "suspect", "faulty"),
-        ]
-        assert (ax.get_yticks().tolist(), ax.get_ylabel()) == ([0.0, 1.0, 2.0, 3.0], "roll")
-        low, high = ax.get_ylim()
-        assert low < 0.0 < 3.0 < high
+    (ax,) = draw(worded()).axes
+    assert [label.get_text() for label in ax.get_yticklabels()] == list(WORDS)
+    assert (ax.get_yticks().tolist(), ax.get_ylabel()) == ([0.0, 1.0, 2.0, 3.0], "roll")
+    low, high = ax.get_ylim()
+    assert low < 0.0 < 3.0 < high
 
 
 def test_screen_has_words_for_ticks_and_values():
     drawing = plotly_figure(worded())
-    assert drawing.layout.yaxis.ticktext == ("starting", "healthy", "suspect", "faulty")
+    assert drawing.layout.yaxis.ticktext == WORDS
     assert drawing.layout.yaxis.title.text == "roll"
     (trace,) = drawing.data
     assert trace.hovertemplate == "roll, proposed: %{text}<extra></extra>"
     assert set(zip(trace.y.tolist(), trace.text, strict=True)) == {(1.0, "healthy"), (3.0, "faulty")}
 
 
+@pytest.mark.usefixtures("print_style")
 def test_print_shows_extremes_and_gaps():
-    with mpl.rc_context({**mpl.rcParamsDefault, **STYLE}):
-        canvas = draw(single())
-        line = next(line for line in canvas.axes[0].lines if np.nanmax(line.get_ydata()) == 9.0)
-        t, y = line.get_data()
-        assert t[np.nanargmax(y)] == TIME[SPIKE]
-        assert len(y) <= LIMIT
-        assert np.sum(np.isnan(y)) == 1
+    line = next(line for line in draw(single()).axes[0].lines if np.nanmax(line.get_ydata()) == 9.0)
+    t, y = line.get_data()
+    assert t[np.nanargmax(y)] == TIME[SPIKE]
+    assert len(y) <= LIMIT
+    assert np.sum(np.isnan(y)) == 1
 
 
 @pytest.mark.parametrize("figure", FIGURES)

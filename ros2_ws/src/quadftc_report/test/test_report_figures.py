@@ -2,17 +2,14 @@
 
 import dataclasses
 import functools
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from recorded_runs import recorded_run
 
-from quadftc_flight.closed_loop import fly
-from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.run_directory import RecordedRun
-from quadftc_flight.scenario import Scenario, parse_scenario
+from quadftc_flight.scenario import parse_scenario
 from quadftc_model.samples import AXES, FAULTY, HEALTHY
 from quadftc_report.comparison import Comparison, compare, list_injections
 from quadftc_report.description import Figure, Panel, Shade
@@ -36,25 +33,9 @@ schemes:
 PAIR = ("proposed", "conventional")
 
 
-def recorded(scenario: Scenario, name: str, flight: Flight | None = None) -> RecordedRun:
-    """A run as if read from a bag."""
-    scheme = scenario.scheme(name)
-    return RecordedRun(
-        name=f"{scenario.name}-{name}",
-        path=Path(f"{scenario.name}-{name}"),
-        bag=SimpleNamespace(truncated=False),
-        scenario=scenario,
-        scheme=scheme,
-        parameters={},
-        flight=flight or fly(scenario, scheme),
-        summary={},
-        versions={},
-    )
-
-
 @functools.cache
 def flown(name: str, *overrides: str) -> RecordedRun:
-    return recorded(parse_scenario(TEXT, overrides=overrides), name)
+    return recorded_run(parse_scenario(TEXT, overrides=overrides), name)
 
 
 def comparison(*names: str, overrides: tuple[str, ...] = ()) -> Comparison:
@@ -69,11 +50,6 @@ def described(of: Comparison) -> dict[str, Figure]:
 
 def changed(run: RecordedRun, **columns: np.ndarray) -> RecordedRun:
     return dataclasses.replace(run, flight=dataclasses.replace(run.flight, **columns))
-
-
-def first_part(run: RecordedRun, count: int) -> RecordedRun:
-    fields = {field.name: getattr(run.flight, field.name)[:count] for field in dataclasses.fields(Flight)}
-    return dataclasses.replace(run, flight=Flight(**fields))
 
 
 def lines(panel: Panel) -> dict[str, np.ndarray]:
@@ -103,7 +79,7 @@ schemes:
 
 def test_a_flight_through_space_has_its_position_its_path_and_its_errors():
     scenario = parse_scenario(FREE)
-    runs = [recorded(scenario, name) for name in PAIR]
+    runs = [recorded_run(scenario, name) for name in PAIR]
     (free,) = compare(runs)
     found, flight = described(free), runs[1].flight
     assert {"position", "top_view", "position_error"} <= set(found)
@@ -200,7 +176,8 @@ def test_withheld_samples_are_gaps():
 
 
 def test_run_that_ends_early_is_drawn_to_its_end_and_named():
-    (of,) = compare([first_part(flown("proposed"), 200), flown("conventional")])
+    run = flown("proposed")
+    (of,) = compare([dataclasses.replace(run, flight=run.flight.first(200)), flown("conventional")])
     figure = described(of)["tracking-roll"]
     assert figure.span == (0.0, pytest.approx(4.0))
     assert len(lines(figure.panels[0])["proposed"]) == 200
@@ -250,7 +227,7 @@ def test_authority_is_shown_where_the_torque_comes_near_it(torque, shown):
 
 def test_rotors_show_their_effectiveness_and_what_the_diagnosis_says_of_them():
     weak = "faults=[{kind: loss, rotors: [2], value: 20 %, start: 1}]"
-    run = recorded(parse_scenario(FREE, overrides=[weak]), "proposed")
+    run = recorded_run(parse_scenario(FREE, overrides=[weak]), "proposed")
     assert described(compare([run])[0])["rotors"].panels[1].shades == (Shade(1.0, 2.0, "rotor loss", 1),)
     state, late = np.full((len(run.flight), 4), HEALTHY, np.uint8), run.flight.time >= 1.1
     state[late, 1] = FAULTY

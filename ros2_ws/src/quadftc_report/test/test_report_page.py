@@ -223,8 +223,7 @@ def test_scenario_parameters_versions_and_seed_are_told(page):
 
 def test_page_of_a_run_cut_short_says_so_and_judges_nothing():
     run = flown("proposed")
-    fields = {field.name: getattr(run.flight, field.name)[:120] for field in dataclasses.fields(run.flight)}
-    flight = type(run.flight)(**fields)
+    flight = run.flight.first(120)
     unchecked = run.scheme.model_copy(update={"checks": ()})
     item = {**summary(flight, run.scenario, unchecked, None), "passed": None}
     cut = dataclasses.replace(run, flight=flight, summary=item, warnings=("runs/small: cut short at 1.19 s",))

@@ -13,7 +13,7 @@ from recorded_runs import recorded_run
 from quadftc_bags.bag import Bag
 from quadftc_flight.diagnosis_metrics import pool
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events
-from quadftc_flight.flight import NO_STATE, Flight, ImuReadings, unknown_flight
+from quadftc_flight.flight import NO_STATE, ImuReadings, unknown_flight
 from quadftc_flight.scenario import parse_scenario
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING
 from quadftc_replay.overlay import faults_from
@@ -203,10 +203,9 @@ def test_what_was_not_recorded_has_no_figure():
 
 def test_replay_that_was_cut_is_drawn_to_its_end_and_named():
     whole = made_replay()
-    rows = {field.name: getattr(whole.flight, field.name)[:500] for field in dataclasses.fields(Flight)}
     cut = dataclasses.replace(
         made_replay("none"),
-        flight=Flight(**rows),
+        flight=whole.flight.first(500),
         measured=ImuReadings(*(values[:500] for values in whole.measured)),
         corrected=ImuReadings(*(values[:500] for values in whole.corrected)),
     )

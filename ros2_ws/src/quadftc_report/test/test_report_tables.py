@@ -46,10 +46,6 @@ def made_run(scenario: Scenario, scheme: str, flight: Flight | None = None, **ch
     return recorded_run(scenario, scheme, flown)
 
 
-def rows_until(flight: Flight, count: int) -> Flight:
-    return Flight(**{field.name: getattr(flight, field.name)[:count] for field in dataclasses.fields(Flight)})
-
-
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return parse_scenario(TEXT)
@@ -279,7 +275,7 @@ def test_sentence_counts_faults_found_and_false_alarms(runs):
 
 
 def test_sentence_of_a_run_cut_short_says_how_much_there_is(scenario, runs):
-    part = made_run(scenario, "my-fast_one", rows_until(runs["my-fast_one"].flight, 30))
+    part = made_run(scenario, "my-fast_one", runs["my-fast_one"].flight.first(30))
     text = told(Comparison((part, runs["plain"]), "two"))["my-fast_one"]
     assert "was recorded for 300 ms only; tracks" in text
     assert "check" not in text
