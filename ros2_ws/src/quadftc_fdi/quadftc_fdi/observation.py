@@ -52,11 +52,6 @@ class Observation:
         """What it is called after where it is compiled."""
         return self.observer
 
-    @property
-    def has_detector(self) -> bool:
-        """Whether the observer declares faults."""
-        return self.observer.has_detector
-
     def init(self, inputs: ObservationInputs) -> Any:
         """Return the state of the observer at the first sample."""
         return self.observer.init(self.seen(inputs))
@@ -68,14 +63,6 @@ class Observation:
     def resumed(self, inputs: ObservationInputs, last: LastDiagnosis) -> Any:
         """Return the state that resumes at a sample where another observer of this kind has died."""
         return self.observer.resumed(self.seen(inputs), last)
-
-    def bias_of(self, state: Any) -> Vector | None:
-        """Return the gyro bias [rad/s] of a state; None: it is what is taken off the corrected rate."""
-        return self.observer.bias_of(state)
-
-    def describe(self, state: Any) -> dict[str, Vector]:
-        """Return what else the observer knows, for people, by name and axis."""
-        return self.observer.describe(state)
 
     def ready(self, inputs: ObservationInputs) -> Flag:
         """Whether the observer can start at a sample: it has attitude and body rate."""
