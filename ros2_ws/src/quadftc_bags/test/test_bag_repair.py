@@ -67,8 +67,14 @@ def bytes_of(bag: Path) -> bytes:
     return (bag / f"{bag.name}_0.mcap").read_bytes()
 
 
-def records_of(path: Path) -> list[tuple[int, int, int]]:
-    """Start, end and number of messages of each record of a whole file."""
+def chunks_of(bag: Path) -> list[tuple[int, int, int]]:
+    """Those of the records that hold messages."""
+    return [record for record in records_of(bag) if record[2]]
+
+
+def records_of(bag: Path) -> list[tuple[int, int, int]]:
+    """Start, end and number of messages of each record of the file of a whole bag."""
+    path = bag / "run_0.mcap"
     with path.open("rb") as stream:
         reader = StreamReader(stream, emit_chunks=True)
         found, start = [], 8
@@ -176,8 +182,7 @@ def no_waiting_for_the_disk(monkeypatch):
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_bag_cut_in_any_record_keeps_every_chunk_before_the_cut(originals, compression):
     data = bytes_of(originals[compression])
-    records = records_of(originals[compression] / "run_0.mcap")
-    chunks = [row for row in records if row[2]]
+    records, chunks = records_of(originals[compression]), chunks_of(originals[compression])
     assert len(chunks) > 3
     assert sum(row[2] for row in chunks) == COUNT
     rows = records if compression == "zstd" else chunks[:3]
@@ -222,7 +227,7 @@ def test_what_is_no_bag_is_refused_in_one_line(originals, tail):
 
 def test_chunk_whose_sum_is_wrong_is_left_out_and_the_rest_kept(originals):
     data = bytearray(bytes_of(originals["none"]))
-    chunks = [row for row in records_of(originals["none"] / "run_0.mcap") if row[2]]
+    chunks = chunks_of(originals["none"])
     start, end, inside = chunks[1]
     data[end - 40] ^= 1
     done, numbers = repaired(bytes(data))
@@ -236,7 +241,7 @@ def test_chunk_whose_sum_is_wrong_is_left_out_and_the_rest_kept(originals):
 
 def test_zeros_at_the_end_are_left_out(originals):
     data = bytes_of(originals["zstd"])
-    chunks = [row for row in records_of(originals["zstd"] / "run_0.mcap") if row[2]]
+    chunks = chunks_of(originals["zstd"])
     done, numbers = repaired(data[: chunks[2][1]] + bytes(100_000))
     assert numbers == list(range(sum(row[2] for row in chunks[:3])))
     assert done.found.damages[-1].is_end
@@ -383,7 +388,7 @@ def test_bad_input_is_one_line_and_exit_code_2(originals, tmp_path):
 
 def test_command_says_what_was_kept_and_lost(originals, tmp_path):
     data = bytes_of(originals["none"])
-    chunks = [row for row in records_of(originals["none"] / "run_0.mcap") if row[2]]
+    chunks = chunks_of(originals["none"])
     start, end, _ = chunks[1]
     bag = damaged(tmp_path, data[: end - 10])
     result = CliRunner().invoke(app, ["repair", str(bag)])
@@ -404,7 +409,7 @@ def test_command_says_what_was_kept_and_lost(originals, tmp_path):
 
 def test_reading_goes_on_behind_a_damaged_chunk_only_if_asked(originals, tmp_path):
     data = bytearray(bytes_of(originals["none"]))
-    chunks = [row for row in records_of(originals["none"] / "run_0.mcap") if row[2]]
+    chunks = chunks_of(originals["none"])
     data[chunks[1][1] - 40] ^= 1
     (tmp_path / "run.mcap").write_bytes(data)
     assert read_bag(tmp_path / "run.mcap").truncated

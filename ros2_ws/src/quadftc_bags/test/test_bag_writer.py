@@ -33,6 +33,7 @@ from quadftc_ros.topics import TOPICS
 
 PERIOD_NS = 4_000_000
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
+Writer = BagWriter | BagProcess
 
 
 def vector(number: int) -> bytes:
@@ -43,11 +44,18 @@ def vector(number: int) -> bytes:
 
 
 @pytest.fixture(params=[BagWriter, BagProcess])
-def kind(request) -> type[BagWriter | BagProcess]:
+def kind(request) -> type[Writer]:
     return request.param
 
 
-def write_numbers(writer: BagWriter | BagProcess, count: int, topic: str = "/plant/rate") -> None:
+def opened(kind: type[Writer], path: Path | str, **options) -> Writer:
+    """A writer of a bag with one topic."""
+    writer = kind(path, **options)
+    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    return writer
+
+
+def write_numbers(writer: Writer, count: int, topic: str = "/plant/rate") -> None:
     for number in range(count):
         time_ns = 1_000_000_000 + number * PERIOD_NS
         writer.write(topic, vector(number), time_ns, time_ns)
@@ -143,15 +151,13 @@ def test_unknown_type_is_refused_by_name(name):
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_compression_is_read_back(tmp_path, kind, compression):
-    with kind(tmp_path / "run", compression=compression) as writer:
-        writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    with opened(kind, tmp_path / "run", compression=compression) as writer:
         write_numbers(writer, 5000)
     assert stored_numbers(writer.path) == list(range(5000))
 
 
 def test_bag_without_messages_is_read(tmp_path, kind):
-    with kind(tmp_path / "run") as writer:
-        writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    opened(kind, tmp_path / "run").close()
     with AnyReader([tmp_path / "run"]) as reader:
         assert [(connection.topic, connection.msgcount) for connection in reader.connections] == [
             ("/plant/rate", 0)
@@ -172,8 +178,7 @@ def test_bad_arguments_are_refused_before_anything_is_made(tmp_path, kind):
 
 
 def test_topic_twice_or_unknown_is_refused(tmp_path, kind):
-    with kind(tmp_path / "run") as writer:
-        writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    with opened(kind, tmp_path / "run") as writer:
         with pytest.raises(ValueError, match="in the bag already"):
             writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
         with pytest.raises(KeyError):
@@ -182,8 +187,7 @@ def test_topic_twice_or_unknown_is_refused(tmp_path, kind):
 
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_flushed_messages_are_in_the_file_while_recording(tmp_path, kind, lockstep):
-    with kind(tmp_path / "run", lockstep=lockstep) as writer:
-        writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    with opened(kind, tmp_path / "run", lockstep=lockstep) as writer:
         write_numbers(writer, 100)
         assert writer.flush()
         assert stored_numbers(writer.path) == list(range(100))
@@ -196,11 +200,9 @@ CHILD = """
 import sys, time
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from test_bag_writer import VECTOR, vector
+from test_bag_writer import opened, vector
 from quadftc_bags.writer import BagWriter
-from rclpy.qos import QoSProfile
-writer = BagWriter(sys.argv[1], lockstep=sys.argv[2] == "True")
-writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+writer = opened(BagWriter, sys.argv[1], lockstep=sys.argv[2] == "True")
 while True:
     now = time.time_ns()
     writer.write("/plant/rate", vector(0), now, now)
@@ -214,14 +216,12 @@ FULL_DISK = """
 import json, resource, sys, time
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from test_bag_writer import VECTOR, vector
+from test_bag_writer import opened, vector
 from quadftc_bags.{module} import {kind}
-from rclpy.qos import QoSProfile
 errors = []
 resource.setrlimit(resource.RLIMIT_FSIZE, (700_000, 700_000))
 said = {{"on_error": errors.append}} if {kind}.__name__ == "BagProcess" else {{}}
-writer = {kind}(sys.argv[1], compression="none", lockstep=sys.argv[2] == "True", **said)
-writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+writer = opened({kind}, sys.argv[1], compression="none", lockstep=sys.argv[2] == "True", **said)
 for number in range(12000):
     time_ns = 1_000_000_000 + number * 4_000_000
     writer.write("/plant/rate", vector(number), time_ns, time_ns)
@@ -277,16 +277,14 @@ def test_lockstep_file_does_not_depend_on_order_of_arrival_or_padding(tmp_path, 
 
 
 def test_full_queue_makes_the_caller_wait_in_lockstep(tmp_path):
-    with BagProcess(tmp_path / "run", lockstep=True, queue_size=4) as writer:
-        writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    with opened(BagProcess, tmp_path / "run", lockstep=True, queue_size=4) as writer:
         write_numbers(writer, 2000)
     assert writer.status.dropped == {}
     assert stored_numbers(writer.path) == list(range(2000))
 
 
 def test_closed_writer_counts_what_it_refuses(tmp_path, kind):
-    writer = kind(tmp_path / "run")
-    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    writer = opened(kind, tmp_path / "run")
     assert writer.close() == writer.close()
     assert not writer.write("/plant/rate", vector(0), 0, 0)
     assert writer.status.dropped == {"/plant/rate": 1}
@@ -294,8 +292,7 @@ def test_closed_writer_counts_what_it_refuses(tmp_path, kind):
 
 def test_process_that_ends_stops_the_recording_not_the_caller(tmp_path):
     errors: list[str] = []
-    writer = BagProcess(tmp_path / "run", on_error=errors.append)
-    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    writer = opened(BagProcess, tmp_path / "run", on_error=errors.append)
     write_numbers(writer, 300)
     assert writer.flush()
     os.kill(writer.process_id, signal.SIGKILL)
@@ -336,8 +333,7 @@ def is_complete(path: Path) -> bool:
 
 
 def test_process_drops_and_counts_in_real_time_when_the_other_is_slow(tmp_path):
-    writer = BagProcess(tmp_path / "run", queue_size=4 * BATCH)
-    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    writer = opened(BagProcess, tmp_path / "run", queue_size=4 * BATCH)
     assert writer.flush()
     os.kill(writer.process_id, signal.SIGSTOP)
     accepted = [writer.write("/plant/rate", vector(k), k, k) for k in range(20_000)]
@@ -355,8 +351,7 @@ def test_process_drops_and_counts_in_real_time_when_the_other_is_slow(tmp_path):
 def test_process_that_hangs_is_given_up_and_the_caller_goes_on(tmp_path, monkeypatch, lockstep):
     monkeypatch.setattr(writer_process, "PATIENCE", 0.5)
     errors: list[str] = []
-    writer = BagProcess(tmp_path / "run", lockstep=lockstep, on_error=errors.append)
-    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    writer = opened(BagProcess, tmp_path / "run", lockstep=lockstep, on_error=errors.append)
     assert writer.flush()
     os.kill(writer.process_id, signal.SIGSTOP)
     begin = time.monotonic()
@@ -370,8 +365,7 @@ def test_process_that_hangs_is_given_up_and_the_caller_goes_on(tmp_path, monkeyp
 
 def test_slow_disk_does_not_delay_what_a_killed_recorder_leaves(tmp_path, monkeypatch):
     monkeypatch.setattr(BagFile, "sync", lambda file: time.sleep(1.0))
-    writer = BagWriter(tmp_path / "run")
-    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    writer = opened(BagWriter, tmp_path / "run")
     end, number, worst = time.monotonic() + 1.5, 0, 0.0
     while (now := time.monotonic()) < end:
         writer.write("/plant/rate", vector(number), time.time_ns(), 0)
@@ -386,8 +380,7 @@ def test_slow_disk_does_not_delay_what_a_killed_recorder_leaves(tmp_path, monkey
 
 def test_lockstep_stream_slower_than_real_time_is_held_no_longer_than_a_second(tmp_path):
     """At 0.2 of real time the messages that a cut waits for would be 1.5 s old."""
-    writer = BagWriter(tmp_path / "run", lockstep=True)
-    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    writer = opened(BagWriter, tmp_path / "run", lockstep=True)
     begin, number, worst = time.monotonic(), 0, 0.0
     while time.monotonic() - begin < 3.0:
         log_time_ns = 1_000_000_000 + round(0.2e9 * (time.monotonic() - begin))
@@ -405,8 +398,7 @@ def test_no_memory_stops_the_recording_not_the_caller(tmp_path, monkeypatch):
     def no_memory(*_: object) -> None:
         raise MemoryError
 
-    writer = BagWriter(tmp_path / "run")
-    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    writer = opened(BagWriter, tmp_path / "run")
     write_numbers(writer, 100)
     assert writer.flush()
     monkeypatch.setattr(BagFile, "write", no_memory)
@@ -419,8 +411,7 @@ def test_no_memory_stops_the_recording_not_the_caller(tmp_path, monkeypatch):
 
 def test_memory_is_bounded_while_nothing_can_be_written(tmp_path):
     """A minute of a graph, 0.5 kB a message, to a writer that does not write: 110 MB."""
-    writer = BagProcess(tmp_path / "run")
-    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    writer = opened(BagProcess, tmp_path / "run")
     assert writer.flush()
     os.kill(writer.process_id, signal.SIGSTOP)
     before, data, put = resident_memory(), vector(0), writer.input("/plant/rate")
