@@ -15,6 +15,7 @@ from quadftc_replay.flight_log import MAIN
 from quadftc_replay.imu_from_log import recording_from_log
 from quadftc_replay.readers import read_log
 from quadftc_replay.usdlog import read_usdlog
+from recorded_logs import DATA, needs_data
 
 FIXED = "fixedFrequency"
 ID = 65535
@@ -25,14 +26,6 @@ GYRO = ("gyro.x(f)", "gyro.y(f)", "gyro.z(f)")
 QUATERNION = tuple(f"stateEstimate.q{axis}(f)" for axis in "xyzw")
 DEGREES = ("stateEstimate.roll(f)", "stateEstimate.pitch(f)", "stateEstimate.yaw(f)")
 LEE = tuple(f"ctrlLee.{name}{axis}(f)" for name in ("omega", "rpy", "torque") for axis in "xyz")
-LOGS = next(
-    (
-        parent / "shared/data/crazyflie"
-        for parent in Path(__file__).resolve().parents
-        if (parent / "shared/data/crazyflie").is_dir()
-    ),
-    None,
-)
 
 
 def log_bytes(events: dict[int, tuple[str, tuple[str, ...]]], rows: list[tuple], version: int = 2) -> bytes:
@@ -221,10 +214,10 @@ def test_wrong_header_is_refused_with_byte_field_and_expectation(tmp_path, data,
     assert words in refusal(path, read_usdlog)
 
 
-@pytest.mark.skipif(LOGS is None, reason="no recorded logs beside the repository (shared/data/crazyflie)")
+@needs_data
 def test_real_logs_are_whole_and_their_attitude_turns_with_their_gyro():
-    assert LOGS is not None
-    for path in sorted((LOGS / "crazyswarm2").glob("log*"))[::3]:
+    logs = DATA / "crazyflie"
+    for path in sorted((logs / "crazyswarm2").glob("log*"))[::3]:
         recording = recording_from_log(path)
         assert not any("check sum" in warning for warning in recording.warnings), path
         # over the whole log, the rates of the angles correlate with those that the gyro gives
@@ -234,7 +227,7 @@ def test_real_logs_are_whole_and_their_attitude_turns_with_their_gyro():
             turned = np.gradient(angles[:, axis], time)
             assert np.corrcoef(turned, recording.imu.body_rate[:, axis])[0, 1] > 0.2, (path, axis)
     for name in ("log10", "log15"):
-        log = read_log(LOGS / "sysid" / name)
+        log = read_log(logs / "sysid" / name)
         assert log.rotor_commands.value.max() <= 1.0
         force = log.accelerometers[MAIN].value[:1000]
         assert np.linalg.norm(force, axis=1).mean() == pytest.approx(9.81, rel=0.02)

@@ -14,11 +14,8 @@ from quadftc_report import DATA
 from quadftc_report.wording import period, plain
 
 SETTLING = "fault_estimate_settling_s"
-DETAILS = (
-    "Fault window",
-    "Diagnosis of",
-    "Naming of",
-)  # how the sections of single faults and kinds of faults begin
+# how the sections of single faults and kinds of faults begin
+DETAILS = ("Fault window", "Diagnosis of", "Naming of")
 TINY = 1e-12  # in any unit; a smaller number is the rounding of a zero
 SCALES = {"%": 100.0, "ms": 1e3}  # of units that are not those of the summary
 
