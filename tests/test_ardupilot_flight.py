@@ -166,10 +166,7 @@ def test_page_attaches_to_what_ardupilot_flies(flying):
 
 
 def test_packet_that_sitl_repeats_while_it_waits_gets_one_answer():
-    with (
-        Wired(ArduPilotBackendNode, "realtime", port=0) as backend,
-        StandIn(backend.node.port) as sitl,
-    ):
+    with Wired(ArduPilotBackendNode, "realtime", port=0) as backend, StandIn(backend.node.port) as sitl:
         with backend.node._faults.lock:  # as if laws were compiled
             for _ in range(3):
                 sitl.send()

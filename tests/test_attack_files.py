@@ -109,10 +109,7 @@ def test_good_input_is_not_refused(name, seeds, sandbox):
         (["run", "s.yaml", "--set", "name=../../x"], "name: '../../x': expected letters, digits"),
         (["run", "s.yaml", "--set", "schemes.proposed.controller=../x"], "no controller"),
         (["check", "s.yaml", "--set", "references.1.rise=1e308"], r"rise: 1e\+308 s: must be within"),
-        (
-            ["check", "s.yaml", "--set", "references.0.frequency=1e308"],
-            r"frequency: 1e\+308 rad/s: must",
-        ),
+        (["check", "s.yaml", "--set", "references.0.frequency=1e308"], r"frequency: 1e\+308 rad/s: must"),
     ],
 )
 def test_argument_that_once_crashed_is_refused(seeds, sandbox, arguments, words):

@@ -131,10 +131,7 @@ def test_options_reach_the_nodes(folder: Path):
         (("run", "./"), (".: a directory; expected a file",)),
         (("campaign", "empty.yaml"), ("empty.yaml:1: empty; expected a mapping",)),
         (("check", "binary.yaml"), ("binary.yaml: no text in UTF-8, from byte 4 on",)),
-        (
-            ("export", "tiny.yaml", "--log", "x", "--out", "y"),
-            ("Invalid value for '--log': 'x' is not",),
-        ),
+        (("export", "tiny.yaml", "--log", "x", "--out", "y"), ("Invalid value for '--log': 'x' is not",)),
         (("sitl", "tiny.yaml"), ("error: Missing option '--autopilot'. Choose from: ardupilot, px4\n",)),
         (("fly",), ("fly",)),
         (("list", "unicorns"), ("unicorns", "controllers")),

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from quadftc_cli.checking import (
-    CHANGING,
-    ITSELF,
-    LASTING,
-    NEVER,
-    isolability_table,
-)
+from quadftc_cli.checking import CHANGING, ITSELF, LASTING, NEVER, isolability_table
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.isolability import IsolabilityResult, analyse, isolability_lines
 from quadftc_theory.vehicle_equations import Assumptions

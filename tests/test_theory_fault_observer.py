@@ -256,12 +256,7 @@ def test_rate_observer_slides_after_its_reaching_time(rate):
     law, far = observer(l_k1=0.0), 1.0
     worst = np.array([law.xi, 0.0, 0.0])  # drives the error outwards
     times, states = flown(
-        law,
-        0.5,
-        no_fault,
-        rate,
-        lambda t: (ZEROS, worst * t),
-        start=([-far, 0.0, 0.0], ZEROS),
+        law, 0.5, no_fault, rate, lambda t: (ZEROS, worst * t), start=([-far, 0.0, 0.0], ZEROS)
     )
     off = np.linalg.norm(states.h1 - states.z1, axis=1) > 1e-12
     reached = times[np.flatnonzero(off)[-1]] + 1.0 / rate

@@ -14,19 +14,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega
 
-from attack.flight_table import (
-    AXES,
-    COUNT,
-    PERIOD,
-    ROTORS,
-    START,
-    Flight,
-    braid,
-    rotors,
-    rows,
-    vector,
-    whole,
-)
+from attack.flight_table import AXES, COUNT, PERIOD, ROTORS, START, Flight, braid, rotors, rows, vector, whole
 from attack.ros_logs import mcap, ros1
 from quadftc_replay.dataflash import FORMAT, FORMAT_TYPE, HEAD
 from quadftc_replay.writers.ardupilot import TYPES as LETTERS

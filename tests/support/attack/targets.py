@@ -13,15 +13,7 @@ from hypothesis import strategies as st
 from rclpy.node import Node
 
 from attack.case import Case, Program
-from attack.inputs import (
-    Draw,
-    bad_argument,
-    bad_bytes,
-    bad_command_line,
-    bad_text,
-    bad_yaml,
-    pick,
-)
+from attack.inputs import Draw, bad_argument, bad_bytes, bad_command_line, bad_text, bad_yaml, pick
 from attack.seeds import CAMPAIGN, FAULTS, GAINS, NODES, SCENARIO, Seeds, with_vehicle
 from quadftc_cli.commands import GOOD
 from quadftc_cli.main import app, guarded

@@ -18,13 +18,7 @@ from pathlib import Path
 from quadftc_cli.commands import BAD_INPUT, CHECK_FAILED, GOOD
 from quadftc_cli.screen import say
 from quadftc_fdi.fault_observer import fault_observers
-from quadftc_tools.study.golden_alarms import (
-    Verdict,
-    count_table,
-    differences,
-    read_verdicts,
-    write_verdicts,
-)
+from quadftc_tools.study.golden_alarms import Verdict, count_table, differences, read_verdicts, write_verdicts
 from quadftc_tools.study.golden_trials import SETS, Trial, flights_of, trials
 
 STORED = Path(__file__).resolve().parents[3] / "tests" / "golden" / "observers"

@@ -15,13 +15,7 @@ import polars as pl
 
 from quadftc_campaign.table import CONFUSION, ERRORS, whole_flights, with_ratios
 from quadftc_flight.diagnosis_metrics.which_sensor import NOTHING, SAID, TIME, TRUE
-from quadftc_tools.study.numbers import (
-    write_count,
-    write_degrees,
-    write_numbers,
-    write_per_cent,
-    write_times,
-)
+from quadftc_tools.study.numbers import write_count, write_degrees, write_numbers, write_per_cent, write_times
 from quadftc_tools.study.page import RESULTS, Tables, markdown, read_campaigns, run_study
 
 FAULTS = ("which_sensor", "which_sensor_observers")  # the second: some of these flights, by other observers

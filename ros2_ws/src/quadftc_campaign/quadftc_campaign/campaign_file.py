@@ -265,10 +265,7 @@ def _expand_paths(keys: CampaignKeys, base: Document, problems: list[Problem]) -
 
 
 def _read_scenario(
-    document: Document,
-    keys: CampaignKeys,
-    assignments: Sequence[str],
-    build: Callable[[Document], Scenario],
+    document: Document, keys: CampaignKeys, assignments: Sequence[str], build: Callable[[Document], Scenario]
 ) -> tuple[Document, Scenario]:
     """Read the scenario that all flights are made of."""
     beside = Path(document.source).parent / keys.scenario

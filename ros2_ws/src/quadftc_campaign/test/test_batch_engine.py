@@ -21,13 +21,7 @@ from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.metrics import flight_metrics
-from quadftc_flight.scenario import (
-    build_scenario,
-    find_scenario,
-    load_scenario,
-    parse_scenario,
-    with_seed,
-)
+from quadftc_flight.scenario import build_scenario, find_scenario, load_scenario, parse_scenario, with_seed
 from quadftc_model.guarded import Guarded
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING
 from quadftc_sim.fault import faults as fault_kinds

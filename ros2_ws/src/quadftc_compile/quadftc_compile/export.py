@@ -87,11 +87,7 @@ def write_example(exported: Exported, folder: Path) -> None:
 
 
 def write_readme(
-    exported: Exported,
-    folder: Path,
-    about: str,
-    notes: Iterable[str] = (),
-    recorded: str = "",
+    exported: Exported, folder: Path, about: str, notes: Iterable[str] = (), recorded: str = ""
 ) -> None:
     """Write what a user of the folder has to know; ``recorded`` is a command that makes samples.csv."""
     step, columns = exported.program.functions["step"], sample_columns(exported.layouts["inputs"])

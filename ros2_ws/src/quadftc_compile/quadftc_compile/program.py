@@ -27,16 +27,7 @@ from quadftc_compile import places as _places  # noqa: F401
 from quadftc_compile import sums as _sums  # noqa: F401
 from quadftc_compile.emit import Storage
 from quadftc_compile.graph import Graph, Node, Source, UntraceableError, graph_of
-from quadftc_compile.layout import (
-    C_TYPES,
-    Layout,
-    Structs,
-    c_name,
-    layout_of,
-    leaves_of,
-    member,
-    with_real,
-)
+from quadftc_compile.layout import C_TYPES, Layout, Structs, c_name, layout_of, leaves_of, member, with_real
 from quadftc_compile.recipe import Function
 from quadftc_model.numbers import Numbers, numbers_of, with_numbers
 from quadftc_model.parameters import parameters_of

@@ -16,16 +16,7 @@ from footprint import CORTEX_M4F, CORTEX_M7, footprint_of, footprints_of
 pytest.importorskip("jax")
 sys.path.insert(0, str(Path(__file__).parent))
 from emulation import can_emulate, emulate
-from exported_laws import (
-    COUNT,
-    built,
-    exported_waves,
-    run,
-    table_of,
-    wave_samples,
-    write_inputs,
-    written,
-)
+from exported_laws import COUNT, built, exported_waves, run, table_of, wave_samples, write_inputs, written
 
 pytestmark = pytest.mark.skipif(not can_emulate(), reason="there is no compiler or emulator for Cortex-M")
 LIBM = Path(__file__).parent / "shared_libm.c"

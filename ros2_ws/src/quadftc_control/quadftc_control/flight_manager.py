@@ -14,12 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_control.attitude_loop import (
-    AttitudeLoop,
-    AttitudeLoopInputs,
-    AttitudeLoopOutput,
-    nothing_but,
-)
+from quadftc_control.attitude_loop import AttitudeLoop, AttitudeLoopInputs, AttitudeLoopOutput, nothing_but
 from quadftc_control.controller import Controller, limited
 from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
 from quadftc_control.last_words import LastWords, MessageReader

@@ -22,12 +22,7 @@ from quadftc_control.guidance import (
     live_guidance_from,
 )
 from quadftc_control.position_controller import position_controllers
-from quadftc_control.trajectory import (
-    PositionSetpoint,
-    PositionSetpointFilter,
-    combined,
-    trajectories_from,
-)
+from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, combined, trajectories_from
 from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.position_estimator import PositionEstimator

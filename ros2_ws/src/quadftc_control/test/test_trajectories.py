@@ -5,12 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from quadftc_control.trajectory import (
-    PositionSetpoint,
-    PositionSetpointFilter,
-    combined,
-    trajectories,
-)
+from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, combined, trajectories
 from quadftc_model.assembly import build_prefixed, components_from, node_values
 from quadftc_model.numbers import numbers_of, with_numbers
 from quadftc_model.parameters import build, parameters_of

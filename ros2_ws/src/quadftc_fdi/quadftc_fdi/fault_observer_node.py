@@ -130,10 +130,7 @@ class FaultObserverNode(GraphNode):
         self._speeds.put_sample(stamp_ns, (*message, command))
 
     def _on_rotors(
-        self,
-        stamp_ns: int,
-        message: tuple[ImuSample, PositionSample | None, Floats],
-        speeds: Floats | None,
+        self, stamp_ns: int, message: tuple[ImuSample, PositionSample | None, Floats], speeds: Floats | None
     ) -> None:
         """Diagnose a sample of a free flight, with the speeds [rad/s] measured with it."""
         sample, place, command = message

@@ -251,11 +251,7 @@ def test_diagnostics_name_the_observer(bench):
     status = bench.watch_diagnostics()
     bench.until(lambda: "fault_observer: observer" in status)
     said = status["fault_observer: observer"]
-    assert (said.message, said.level, said.hardware_id) == (
-        "supervised",
-        DiagnosticStatus.OK,
-        "vehicle",
-    )
+    assert (said.message, said.level, said.hardware_id) == ("supervised", DiagnosticStatus.OK, "vehicle")
     assert "fault_observer: connections" in status
 
 

@@ -117,8 +117,7 @@ def test_without_a_known_torque_motion_is_no_fault():
 def test_a_gyro_that_needs_an_acceleration_is_guilty_if_the_torque_and_the_attitude_tell(telling):
     yes, zero = np.array([True]), np.zeros(1)
     seen = hypotheses.Evidence(
-        *(~yes, ~yes, zero, zero, zero, zero, zero, zero, zero + 6.0, zero, zero),
-        telling=np.array([telling]),
+        *(~yes, ~yes, zero, zero, zero, zero, zero, zero, zero + 6.0, zero, zero), telling=np.array([telling])
     )
     state, guilty = hypotheses.start_hypotheses(~yes), []
     for index in range(100):

@@ -21,11 +21,7 @@ from quadftc_fdi.supervision.fault_track import (
     track_variance,
     tracker_gains,
 )
-from quadftc_fdi.supervision.inertial_filter import (
-    correct,
-    predict,
-    start_filter,
-)
+from quadftc_fdi.supervision.inertial_filter import correct, predict, start_filter
 from quadftc_fdi.supervision.measurement import predict_angles
 from quadftc_fdi.supervision.residual_tests import (
     averaging_weights,

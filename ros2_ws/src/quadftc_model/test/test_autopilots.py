@@ -5,13 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from quadftc_model.autopilots import (
-    ardupilot_imu,
-    px4_full_torque,
-    px4_imu,
-    px4_torque,
-    tilt_disagreement,
-)
+from quadftc_model.autopilots import ardupilot_imu, px4_full_torque, px4_imu, px4_torque, tilt_disagreement
 from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_model.rotations import (
     euler_from_quaternion,

@@ -82,16 +82,8 @@ def test_unknown_vehicle_is_refused_with_those_that_there_are():
         (r"^rotational_drag = \[0", "rotational_drag = [-0", r"rotational_drag = .*: must be not negative"),
         (r"^\[rotors\]", "[motors]", r"motors: unknown key \(did you mean 'rotors'\?\)"),
         (r"^yaw_sign = \[1, ", "yaw_sign = [", r"rotors.yaw_sign: expected 4 numbers"),
-        (
-            r"^positions = .*",
-            "positions = [1, 2]",
-            r"rotors.positions = \[1, 2\]: expected finite numbers",
-        ),
-        (
-            r"^positions = .*",
-            "positions = [['a', 'b']]",
-            r"rotors.positions = .*: expected finite numbers",
-        ),
+        (r"^positions = .*", "positions = [1, 2]", r"rotors.positions = \[1, 2\]: expected finite numbers"),
+        (r"^positions = .*", "positions = [['a', 'b']]", r"rotors.positions = .*: expected finite numbers"),
         (
             r"^positions = .*",
             "positions = [[1, 1], [1, 1], [1, 1], [1, 1]]",

@@ -1,10 +1,7 @@
 """Quality of service: who may lose messages, who reads late, and the table of topics."""
 
 import pytest
-from rclpy.qos import (
-    DurabilityPolicy,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import GRAPHS, NODES, OPTIONAL_NODES, TOPICS

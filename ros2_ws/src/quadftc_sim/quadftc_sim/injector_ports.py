@@ -37,12 +37,7 @@ class InjectorPorts:
     """
 
     def __init__(
-        self,
-        node: GraphNode,
-        make: Callable[[], FaultInjector],
-        rotors: int,
-        flies: bool,
-        under: str = "~",
+        self, node: GraphNode, make: Callable[[], FaultInjector], rotors: int, flies: bool, under: str = "~"
     ) -> None:
         self.lock = threading.Lock()
         self._node, self._make, self._rotors = node, make, rotors

@@ -21,10 +21,7 @@ class PlantOutput:
     """
 
     def __init__(
-        self,
-        node: GraphNode,
-        each_sample: Callable[[], None],
-        flight: VehicleSimulation | None,
+        self, node: GraphNode, each_sample: Callable[[], None], flight: VehicleSimulation | None
     ) -> None:
         self._node, self._each_sample = node, each_sample
         self._publish_imu, self._imu = node.publishes("plant/imu"), ImuWire(node.imu_frame)

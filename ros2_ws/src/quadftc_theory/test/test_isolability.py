@@ -14,11 +14,7 @@ from layouts import SIXTH, circle, with_rotors
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_rates, quaternion_from_euler, to_earth
 from quadftc_model.vehicle import load_vehicle
-from quadftc_theory.isolability import (
-    analyse,
-    analyse_model,
-    strong_isolability,
-)
+from quadftc_theory.isolability import analyse, analyse_model, strong_isolability
 from quadftc_theory.vehicle_equations import (
     SENSORS,
     STANDARD_GRAVITY,

@@ -35,18 +35,7 @@ from __future__ import annotations
 from typing import ClassVar, NamedTuple
 
 from quadftc_fdi.fault_observer import SHORTEST, FaultObserver, assume_healthy, correct_sample, register
-from quadftc_model.arrays import (
-    Array,
-    Column,
-    Scalar,
-    Vector,
-    column,
-    larger,
-    namespace,
-    norm,
-    sqrt,
-    where,
-)
+from quadftc_model.arrays import Array, Column, Scalar, Vector, column, larger, namespace, norm, sqrt, where
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaternion_from_euler, wrap

@@ -324,13 +324,7 @@ class Supervised(FaultObserver):
         return estimate, earlier, F, omega, activity, motion
 
     def _report(
-        self,
-        state: State,
-        imu: ImuSample,
-        suspect: Mask,
-        starting: Mask,
-        verdict: Verdict,
-        reading: Reading,
+        self, state: State, imu: ImuSample, suspect: Mask, starting: Mask, verdict: Verdict, reading: Reading
     ) -> FaultEstimate:
         faulty, track = state.faulty, state.track
         omega = estimate_rate(state.filter.x, state.gyro)

@@ -11,12 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from quadftc_fdi.rotor_diagnosis.monitor import (
-    RotorInputs,
-    RotorMonitor,
-    start_rotors,
-    step_rotors,
-)
+from quadftc_fdi.rotor_diagnosis.monitor import RotorInputs, RotorMonitor, start_rotors, step_rotors
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, lagged, thrusts_of
 from quadftc_model.arrays import (
     Array,

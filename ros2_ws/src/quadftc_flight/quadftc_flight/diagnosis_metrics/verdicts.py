@@ -25,11 +25,7 @@ from quadftc_flight.diagnosis_metrics.columns import (
     number,
     rms,
 )
-from quadftc_flight.diagnosis_metrics.fault_statistics import (
-    ALARMS,
-    fault_metrics,
-    with_shares,
-)
+from quadftc_flight.diagnosis_metrics.fault_statistics import ALARMS, fault_metrics, with_shares
 from quadftc_flight.diagnosis_metrics.which_sensor import GRACE_TIME
 from quadftc_flight.fault_schedule import FaultEvent, attitude_events
 from quadftc_flight.flight import Flight
