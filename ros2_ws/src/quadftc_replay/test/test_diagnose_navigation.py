@@ -339,9 +339,8 @@ def test_heading_is_right_in_a_healthy_flight_and_not_judged_in_a_hover():
     log = fly()
     assert heading_findings(prepare(log), END) == []
     assert log.attitude is not None
-    level = Signal(
-        log.attitude.time, np.tile([0.0, 0.0, 1.0, 0.0], (len(log.attitude), 1))
-    )  # half a turn off
+    half_a_turn = np.tile([0.0, 0.0, 1.0, 0.0], (len(log.attitude), 1))
+    level = Signal(log.attitude.time, half_a_turn)
     rng = np.random.default_rng(0)
     time, slow = log.gps_velocities[""].time, log.accelerometers[""].time
     velocity = Signal(time, 0.05 * rng.standard_normal((len(time), 3)))
