@@ -1,6 +1,7 @@
 """An observer that is restarted or changed in flight goes on where the one before was."""
 
 import copy
+import itertools
 
 import numpy as np
 import pytest
@@ -167,28 +168,32 @@ def test_observer_that_takes_over_in_flight_goes_on_where_the_one_before_was(fir
     assert np.max(np.abs(found[-1, :3])) < end
 
 
+def sender(bench, topic, found):
+    """A function that sends the next sample, and waits for what a node says to it, the last of ``found``."""
+    send, indices = bench.talk(topic), itertools.count()
+
+    def fly(angles=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0)):
+        index = next(indices)
+        send(imu_message(FIRST_NS + index * PERIOD_NS, angles, rate))
+        bench.until(lambda: len(found) > index)
+        return found[-1]
+
+    return fly
+
+
 def test_observer_is_changed_by_its_parameter_unless_a_fault_is_confirmed(bench):
     with registered() as name:
         node = bench.run(FaultObserverNode, observer=name)
-    imu, states, status = bench.talk("imu/data"), bench.listen("fault/status"), bench.watch_diagnostics()
+    fly, status = sender(bench, "imu/data", bench.listen("fault/status")), bench.watch_diagnostics()
     bench.connect()
-    sent = 0
-
-    def fly(fault):
-        nonlocal sent
-        imu(imu_message(FIRST_NS + sent * PERIOD_NS, fault))
-        sent += 1
-        bench.until(lambda: len(states) >= sent)
-        return states[-1].state[0]
-
-    bench.until(lambda: fly(np.zeros(3)) == HEALTHY)
-    bench.until(lambda: fly(2.0 * FAULT) == FAULTY)
+    bench.until(lambda: fly().state[0] == HEALTHY)
+    bench.until(lambda: fly(2.0 * FAULT).state[0] == FAULTY)
     refusal = bench.set_parameter("fault_observer", "observer", "supervised")
     assert "a fault is confirmed" in refusal.reason
-    bench.until(lambda: fly(np.zeros(3)) == HEALTHY)
+    bench.until(lambda: fly().state[0] == HEALTHY)
     assert not bench.set_parameter("fault_observer", "observer", "nonsense").successful
     assert bench.set_parameter("fault_observer", "observer", "supervised").successful
-    fly(np.zeros(3))
+    fly()
     bench.until(lambda: status["fault_observer: observer"].message == "supervised")
     assert bench.set_parameter("fault_observer", "supervised.gyro_bias", 0.01).successful
     assert node.settings.values()["observer"] == "supervised"
@@ -258,28 +263,25 @@ def test_an_unusable_last_estimate_is_ignored():
     assert estimation.resumed == 0
 
 
-def test_fault_observer_node_takes_over(bench):
-    bench.run(FaultObserverNode, observer="supervised")
-    imu, gyro, words = bench.talk("imu/data"), bench.talk("gyro/kept"), bench.talk("fault/kept")
-    states = bench.listen("fault/status")
-    bench.connect()
-    sent = 0
-
-    def fly():
-        nonlocal sent
-        imu(imu_message(FIRST_NS + sent * PERIOD_NS, FAULT, BIAS))
-        sent += 1
-        bench.until(lambda: len(states) >= sent)
-
-    fly()
-    assert states[-1].state.tolist() == [STARTING] * 3
+def kept_status():
+    """The last status of an observer that has died, two seconds before the first sample."""
     kept = FaultStatus(state=WORDS.faulty * FAULTY + ~WORDS.faulty * HEALTHY)
     kept.header.stamp = time_message(FIRST_NS - 2_000_000_000)
+    return kept
+
+
+def test_fault_observer_node_takes_over(bench):
+    bench.run(FaultObserverNode, observer="supervised")
+    gyro, words, states = bench.talk("gyro/kept"), bench.talk("fault/kept"), bench.listen("fault/status")
+    fly = sender(bench, "imu/data", states)
+    bench.connect()
+    assert fly(FAULT, BIAS).state.tolist() == [STARTING] * 3
+    kept = kept_status()
     kept.onset[0] = time_message(FIRST_NS - 4_000_000_000)
     kept.estimate.x, kept.std_dev.x = FAULT[0], 1e-3
     gyro(vector_message(FIRST_NS - 2_000_000_000, -BIAS))
     words(kept)
-    bench.until(lambda: (fly(), states[-1].state[0] == FAULTY)[1])
+    bench.until(lambda: fly(FAULT, BIAS).state[0] == FAULTY)
     assert states[-1].estimate.x == pytest.approx(FAULT[0], abs=1e-4)
     assert states[-1].onset[0] == kept.onset[0]
 
@@ -287,19 +289,14 @@ def test_fault_observer_node_takes_over(bench):
 def test_observer_of_all_sensors_resumes_and_reports_at_once(bench):
     with registered() as name:
         bench.run(FaultObserverNode, observer=name)
-    imu, gyro, words = bench.talk("imu/data"), bench.talk("gyro/kept"), bench.talk("fault/kept")
-    reports = bench.listen("diagnosis")
+    gyro, words, reports = bench.talk("gyro/kept"), bench.talk("fault/kept"), bench.listen("diagnosis")
+    fly = sender(bench, "imu/data", bench.listen("fault/status"))
     bench.connect()
-    kept = FaultStatus(state=WORDS.faulty * FAULTY + ~WORDS.faulty * HEALTHY)
-    kept.header.stamp = time_message(FIRST_NS - 2_000_000_000)
     gyro(vector_message(FIRST_NS - 2_000_000_000, (-0.4, 0.0, 0.0)))  # of a gyro that was faulty
-    words(kept)
-    sent = 0
+    words(kept_status())
 
     def named():
-        nonlocal sent
-        imu(imu_message(FIRST_NS + sent * PERIOD_NS, FAULT, (0.4, 0.0, 0.0)))
-        sent += 1
+        fly(FAULT, (0.4, 0.0, 0.0))
         return any(fault.component == "gyro" for report in reports for fault in report.faults)
 
     bench.until(named)
@@ -308,17 +305,8 @@ def test_observer_of_all_sensors_resumes_and_reports_at_once(bench):
 
 def test_disturbance_observer_node_takes_over(bench):
     bench.run(DisturbanceObserverNode)
-    imu, kept = bench.talk("imu/corrected"), bench.talk("disturbance/kept")
-    found = bench.listen("disturbance/estimate")
+    kept, found = bench.talk("disturbance/kept"), bench.listen("disturbance/estimate")
+    fly = sender(bench, "imu/corrected", found)
     bench.connect()
     kept(vector_message(FIRST_NS - 2_000_000_000, (0.7, 0.0, 0.0)))
-    sent = 0
-
-    def taken():
-        nonlocal sent
-        imu(imu_message(FIRST_NS + sent * PERIOD_NS))
-        sent += 1
-        bench.until(lambda: len(found) >= sent)
-        return found[-1].vector.x == pytest.approx(0.7)
-
-    bench.until(taken)
+    bench.until(lambda: fly().vector.x == pytest.approx(0.7))
