@@ -1,6 +1,7 @@
 """The fault observer node: an estimate and a corrected sample for every sample, whatever comes in."""
 
 import math
+import operator
 
 import numpy as np
 import pytest
@@ -107,36 +108,26 @@ def test_lockstep_waits_for_the_torque_of_the_sample_before(lockstep_bench):
     ]
 
 
+BROKEN = {  # parts of a sample that cannot be used: where each is in the message, and what stands there
+    "attitude is no number": ("orientation", "x", math.nan),
+    "rate is infinite": ("angular_velocity", "y", math.inf),
+    "force is no number": ("linear_acceleration", "z", math.nan),
+    "quaternion is zero": ("orientation", "w", 0.0),
+    "attitude is absent": ("orientation_covariance", 0, -1.0),
+    "rate is absent": ("angular_velocity_covariance", 0, -1.0),
+}
+
+
 def broken(stamp_ns, part):
     """A sample with one part that cannot be used."""
     message = imu_message(stamp_ns, (0.0, 0.0, 0.0))
-    if part == "attitude is no number":
-        message.orientation.x = math.nan
-    elif part == "rate is infinite":
-        message.angular_velocity.y = math.inf
-    elif part == "force is no number":
-        message.linear_acceleration.z = math.nan
-    elif part == "quaternion is zero":
-        message.orientation.w = 0.0
-    elif part == "attitude is absent":
-        message.orientation_covariance[0] = -1.0
-    elif part == "rate is absent":
-        message.angular_velocity_covariance[0] = -1.0
+    field, place, value = BROKEN[part]
+    (setattr if isinstance(place, str) else operator.setitem)(getattr(message, field), place, value)
     return message
 
 
 @pytest.mark.parametrize("name", ["sliding_mode", "none"])
-@pytest.mark.parametrize(
-    "part",
-    [
-        "attitude is no number",
-        "rate is infinite",
-        "force is no number",
-        "quaternion is zero",
-        "attitude is absent",
-        "rate is absent",
-    ],
-)
+@pytest.mark.parametrize("part", BROKEN)
 @pytest.mark.parametrize("first", [0, 5])
 def test_no_number_that_is_none_ever_leaves(lockstep_bench, name, part, first):
     observer = Observer(lockstep_bench, observer=name)
@@ -368,9 +359,7 @@ def test_observer_without_states_says_so(lockstep_bench):
 def test_imu_without_attitude_is_told_what_to_do(lockstep_bench):
     observer = Observer(lockstep_bench, observer="isolating")
     for _ in range(RAW_AFTER + 5):
-        message = imu_message(observer.stamp_ns)
-        message.orientation_covariance[0] = -1.0
-        observer.step(message=message)
+        observer.step(message=broken(observer.stamp_ns, "attitude is absent"))
     lockstep_bench.until(lambda: "fault_observer: imu" in observer.status)
     told = observer.status["fault_observer: imu"]
     assert told.level == DiagnosticStatus.WARN
