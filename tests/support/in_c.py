@@ -7,9 +7,11 @@ import jax
 import numpy as np
 
 from quadftc_compile.build import build_library
-from quadftc_compile.recipe import recipe_of
+from quadftc_compile.engine import recipe_for
 from quadftc_compile.runner import CRunner
+from quadftc_fdi.observation import Observation, ObservationInputs
 from quadftc_model.arrays import namespace, rows_of
+from quadftc_model.guarded import Guarded
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -31,6 +33,21 @@ def fly_arrays(law, inputs, dt, state=None):
     return runner.tree(state), jax.tree.map(lambda one, more: np.concatenate([[one], more]), output, rest)
 
 
+def as_flown(observer, inputs):
+    """The law that flies a fault observer, compiled once for tests and flights; inputs as it receives them.
+
+    Inputs are arrays (n, ...), or a list. The thrust is that of the rotors, or unknown.
+    """
+    flies = (inputs[0] if isinstance(inputs, list) else inputs).rotors is not None
+    law = Guarded(Observation(observer, flies=flies))
+    return law, [_received(each) for each in inputs] if isinstance(inputs, list) else _received(inputs)
+
+
+def _received(seen):
+    torque = seen.torque if seen.rotors is None else None
+    return ObservationInputs(seen.imu, torque, seen.rotors, seen.position, seen.driven)
+
+
 def fly_law(law, samples, dt, state=None):
     """The same for a sequence of inputs; outputs are a list."""
     inputs = jax.tree.map(lambda *rows: np.stack(rows), *samples)
@@ -41,7 +58,7 @@ def fly_law(law, samples, dt, state=None):
 
 def in_c(law, inputs):
     """A runner in C of a law that sees such inputs."""
-    return CRunner(law, build_library(recipe_of(law, inputs)))
+    return CRunner(law, build_library(recipe_for(law, inputs)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from in_c import fly_law
+from in_c import as_flown, fly_law
 
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_fdi.supervision.inertial_filter import apply_correction, start_filter
@@ -139,10 +139,10 @@ def flown(faulty_from):
                 for q in attitude
             ]
         )
-    flights = [fly_law(observer, each, DT)[1] for each in zip(*samples, strict=True)]
+    flights = [fly_law(*as_flown(observer, [*each]), DT)[1] for each in zip(*samples, strict=True)]
     rows = [*zip(*flights, strict=True)]
     states, estimates = (
-        [[getattr(each, name) for each in row] for row in rows] for name in ("state", "fault")
+        [[getattr(each.said, name) for each in row] for row in rows] for name in ("state", "fault")
     )
     return np.array(states), np.array(faults), np.array(estimates)
 

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from in_c import fly_arrays
+from in_c import as_flown, fly_arrays
 
 from quadftc_fdi.bank import decide, modes, readings
 from quadftc_fdi.fault_observer import is_usable_estimate
@@ -81,7 +81,7 @@ def felt_too(flight):
 
 def said_of(flight, vehicle=QBALL, **parameters):
     """What the observer says of its sensors, arrays (ROWS, ...)."""
-    estimate = fly_arrays(BankObserver(vehicle=vehicle, **parameters), flight, DT)[1]
+    estimate = fly_arrays(*as_flown(BankObserver(vehicle=vehicle, **parameters), flight), DT)[1].said
     assert np.all(is_usable_estimate(estimate))
     return {name: getattr(estimate.sensors, name) for name in (*SENSORS, "accelerometer")}
 
@@ -207,7 +207,7 @@ def test_gravity_holds_the_tilt_while_the_attitude_is_absent_and_the_gyro_drifts
     off: list[float] = []
     for feels_gravity in (True, False):
         law = BankObserver(vehicle=QBALL, feels_gravity=feels_gravity)
-        flown = fly_arrays(law, flight, DT)[1].corrected.q_xyzw
+        flown = fly_arrays(*as_flown(law, flight), DT)[1].said.corrected.q_xyzw
         apart = euler_from_quaternion(flown) - euler_from_quaternion(hovering().imu.q_xyzw)
         off.append(abs(apart[-100:, 0].mean()))
     assert off[0] < 0.5 * DEG
@@ -385,7 +385,7 @@ def test_a_smooth_attitude_at_rest_is_not_stuck():
 def test_the_rate_that_is_flown_is_good_without_a_gyro_or_an_attitude(sensor):
     there = {"gyro": "rate_valid", "attitude": "attitude_valid"}[sensor]
     flight = with_imu(hovering(3, (0.0, 6.0, 0.0)), **{there: ~ON})
-    corrected = fly_arrays(BankObserver(vehicle=QBALL), flight, DT)[1].corrected
+    corrected = fly_arrays(*as_flown(BankObserver(vehicle=QBALL), flight), DT)[1].said.corrected
     assert corrected.rate_valid.all()
     assert corrected.attitude_valid.all()
     assert np.max(abs(corrected.body_rate - hovering(3, (0.0, 6.0, 0.0)).imu.body_rate)[FIRST:]) < 0.6

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from in_c import fly_arrays
+from in_c import as_flown, fly_arrays
 
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_fdi.supervision import gravity
@@ -62,8 +62,9 @@ def samples_of(flights):
 
 def diagnose(samples):
     """Attitudes (n, 4) that fly, and the last state."""
-    state, estimates = fly_arrays(OBSERVER, FaultObserverInputs(samples, 0.0 * samples.body_rate), DT)
-    return estimates.corrected.q_xyzw, state
+    inputs = FaultObserverInputs(samples, 0.0 * samples.body_rate)
+    state, flown = fly_arrays(*as_flown(OBSERVER, inputs), DT)
+    return flown.said.corrected.q_xyzw, state.law
 
 
 @pytest.fixture(scope="module")

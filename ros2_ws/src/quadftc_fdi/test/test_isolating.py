@@ -5,7 +5,7 @@ import functools
 
 import numpy as np
 import pytest
-from in_c import fly_law
+from in_c import as_flown, fly_law
 
 from quadftc_fdi.fault_observers.isolating import Isolating
 from quadftc_fdi.isolation import hypotheses, rate_filter
@@ -40,8 +40,8 @@ class Hover:
     def on(self, count, change=lambda index, sample: sample):
         samples = [change(index, self.measured()) for index in range(count)]
         inputs = [FaultObserverInputs(each, np.zeros(3), driven=np.bool_(self.driven)) for each in samples]
-        self.state, estimates = fly_law(self.law, inputs, DT, self.state)
-        self.estimates += estimates
+        self.state, flown = fly_law(*as_flown(self.law, inputs), DT, self.state)
+        self.estimates += [each.said for each in flown]
         return self
 
     def measured(self):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from in_c import fly_arrays
+from in_c import as_flown, fly_arrays
 
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_model.rotations import (
@@ -76,7 +76,7 @@ class Diagnosed:
         observer, found = observer or Supervised(vehicle=QBALL), []
         for lane in range(flights):
             inputs = inputs_of(attitude[:, lane], gyro[:, lane], there[:, lane])
-            _, flown = fly_arrays(observer, inputs, dt)
+            flown = fly_arrays(*as_flown(observer, inputs), dt)[1].said
             found.append((flown.state, flown.fault, flown.std_dev, flown.onset_age, flown.corrected.q_xyzw))
         columns = (np.stack(column, axis=1) for column in zip(*found, strict=True))
         self.state, self.estimate, self.std_dev, self.onset_age, q_xyzw = columns
@@ -213,8 +213,8 @@ def test_missing_samples_in_a_tumble_raise_no_alarm():
         quaternion_from_rotation_vector(0.1 * DEG * rng.standard_normal(angles.shape)),
     )
     inputs = inputs_of(attitude, rates, np.ones(len(time), bool))
-    _, flown = fly_arrays(Supervised(vehicle=QBALL), inputs, np.diff(time, prepend=time[0]))
-    assert np.isin(flown.state, (STARTING, HEALTHY)).all()
+    _, flown = fly_arrays(*as_flown(Supervised(vehicle=QBALL), inputs), np.diff(time, prepend=time[0]))
+    assert np.isin(flown.said.state, (STARTING, HEALTHY)).all()
 
 
 def test_a_fault_from_the_start_does_not_lock_it_out():
