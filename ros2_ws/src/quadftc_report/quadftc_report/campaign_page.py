@@ -12,7 +12,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -203,6 +203,7 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
             for side in sides
         ),
         figures=list(distributions(results)),
+        spec=attrgetter("spec"),
         worst=[each for each in shown if any(each[2].values())],
         drawn_heads=[_drawn_head(path, drawn, results.frame) for path, drawn in campaign.vary.items()],
         drawn_text=_drawn_text,
