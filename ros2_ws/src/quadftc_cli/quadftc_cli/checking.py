@@ -143,9 +143,7 @@ def _print(report: CheckReport, loss: str) -> None:
             screen.print(f"  [{colour}]{item.verdict.value:7}[/] ", end="")
             say(f"{item.name}: {item.text}")
     screen.print(f"\n{'[green]PASS[/]' if report.passed else '[red]FAIL[/]'} ", end="")
-    failed = [
-        item for section in report.sections for item in section.conditions if item.verdict is Verdict.FAIL
-    ]
+    failed = sum(item.verdict is Verdict.FAIL for section in report.sections for item in section.conditions)
     holds = "every condition that the scheme needs holds"
-    holds += f"; of the others {len(failed)} {'does' if len(failed) == 1 else 'do'} not" * bool(failed)
+    holds += f"; of the others {failed} {'does' if failed == 1 else 'do'} not" if failed else ""
     say(holds if report.passed else f"fails: {'; '.join(report.failed)}")

@@ -81,9 +81,7 @@ def diagnosis_table(metrics: Mapping[str, Metrics], screen: Console) -> Table:
             made.add_row(name, *(text(each, path) for path in paths[:count]))
         return made
 
-    return fitting(
-        (table(count) for count in range(len(paths), 0, -1)) if paths else iter([table(0)]), screen
-    )
+    return fitting(map(table, range(len(paths), 0, -1) or [0]), screen)
 
 
 def axis_table(metrics: Metrics, paths: Sequence[str]) -> Table:
