@@ -31,7 +31,8 @@ THREADS = "NPROC"  # so many threads has JAX
 TAKE_ALL = "XLA_PYTHON_CLIENT_PREALLOCATE"  # whether JAX takes most of a GPU's memory at once
 LOOK = 0.1  # s; between two looks at how far the workers are
 PLUGINS = "jax_plugins"  # where JAX looks for accelerators
-_STOPPED = threading.Event()  # by Ctrl-C
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+_STOPPED = threading.Event()  # by one of them
 
 
 class Workers:
@@ -66,8 +67,8 @@ class Workers:
 
 @contextlib.contextmanager
 def started_workers(count: int) -> Generator[Workers, None, None]:
-    """Have so many processes at hand; Ctrl-C ends them and is raised here."""
-    with _ctrl_c_noted():
+    """Have so many processes at hand; Ctrl-C and SIGTERM end them, and are raised here as Ctrl-C."""
+    with _stop_noted():
         workers = Workers(count)
         try:
             yield workers
@@ -166,18 +167,17 @@ def _find_device(engine: str) -> str:
 
 
 @contextlib.contextmanager
-def _ctrl_c_noted() -> Generator[None, None, None]:
-    """Note Ctrl-C for `_heed`: raised anywhere, it may leave processes behind."""
+def _stop_noted() -> Generator[None, None, None]:
+    """Note Ctrl-C and SIGTERM for `_heed`: raised anywhere, they may leave processes behind."""
     _STOPPED.clear()
     is_main = threading.current_thread() is threading.main_thread()  # which alone has signals
-    if not is_main or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        yield
-        return
-    before = signal.signal(signal.SIGINT, lambda number, frame: _STOPPED.set())
+    noted = [each for each in STOPPING if is_main and signal.getsignal(each) is not signal.SIG_IGN]
+    before = {each: signal.signal(each, lambda number, frame: _STOPPED.set()) for each in noted}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 def _heed() -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import multiprocessing
 import os
 import re
 import signal
@@ -317,6 +318,26 @@ def test_results_with_two_workers_are_those_without(alike, tmp_path):
     assert frame.equals(flown_alone(alike))
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == json.loads(json.dumps(summary))
     assert sum(seen) <= extent.samples
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_workers_end_before_a_stop_is_raised(number):
+    handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    working = []
+
+    def stop(_samples):
+        working.extend(multiprocessing.active_children())
+        signal.raise_signal(number)
+
+    def fly():
+        with started_workers(1) as workers:
+            list(run_tasks(workers, double, [(0,), (1,)], stop))
+
+    with pytest.raises(KeyboardInterrupt):
+        fly()
+    assert len(working) >= 1
+    assert not set(working) & set(multiprocessing.active_children())
+    assert handlers == (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM))
 
 
 def test_worker_that_is_killed_in_the_middle_loses_nothing():
