@@ -71,18 +71,18 @@ class PlainCalls:
         return branch(flag, then, otherwise)
 
 
-class RunnerCalls:
+class RunnerCalls(PlainCalls):
     """Calls what runs the laws of one vehicle, each by itself."""
 
     def __init__(self, laws: Mapping[str, Any], engine: Engine) -> None:
-        self._laws = laws
+        super().__init__(laws)
         self._runners = {name: engine(law) for name, law in laws.items()}
         self._states: dict[str, object] = {}  # at their last steps
 
     def init(self, name: str) -> object:
         """Return the state of a law at its example."""
         with np.errstate(all="ignore"):
-            return self._laws[name].init(self._laws[name].example())
+            return super().init(name)
 
     def step(self, name: str, state: object, inputs: object, dt: Scalar) -> tuple[object, Any]:
         """Step a law by ``dt`` [s]; where that is 0, the law begins."""
@@ -94,7 +94,3 @@ class RunnerCalls:
     def state_of(self, name: str) -> Any:
         """Return the state of a law at its last step."""
         return self._runners[name].tree(self._states[name])
-
-    def branch(self, flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
-        """Return ``then()`` if a flag holds, or ``otherwise()``."""
-        return then() if flag else otherwise()

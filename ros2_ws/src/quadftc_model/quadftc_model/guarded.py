@@ -7,7 +7,7 @@ import sys
 from typing import Any, Generic, Protocol, TypeVar, cast
 
 from quadftc_model.arrays import Flag, Scalar, branch, finite, where
-from quadftc_model.stepper import MAX_GAP, In_contra, Stepper, seconds
+from quadftc_model.stepper import MAX_GAP, In_contra, Law, Stepper, seconds
 
 if sys.version_info >= (3, 11):
     from typing import NamedTuple
@@ -21,16 +21,8 @@ Words = TypeVar("Words")
 OLDEST_WORDS = 10.0  # s; at the first sample: a fault may have ended since
 
 
-class RestartingLaw(Protocol[In_contra, Out]):
+class RestartingLaw(Law[In_contra, Out], Protocol[In_contra, Out]):
     """A law that can be guarded."""
-
-    def init(self, inputs: In_contra) -> object:
-        """Return the state at the first sample."""
-        ...
-
-    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[object, Out]:
-        """Advance by ``dt`` [s] to a sample."""
-        ...
 
     def ready(self, inputs: In_contra) -> Flag:
         """Whether the law can start at a sample (...)."""
