@@ -103,7 +103,8 @@ class ControllerNode(GraphNode):
         self.reads("disturbance/estimate", self._on_disturbance, decode=wire.vector_of)
         self.reads("imu/data", self._on_raw, decode=bytes)
         self.reads("fault/status", self._manager.take_status, decode=bytes)
-        self._fall_back = decoding("imu/data", self._on_fallback, wire.imu_of, self.diagnostics.count)
+        fly_raw = partial(self._act, self._manager.take_raw)
+        self._fall_back = decoding("imu/data", fly_raw, wire.imu_of, self.diagnostics.count)
         if not self.lockstep:
             self.reads("gyro/bias", self._manager.take_bias, decode=wire.vector_of)
             self._publish_kept = {
@@ -149,9 +150,6 @@ class ControllerNode(GraphNode):
     def _on_raw(self, stamp_ns: int, data: bytes) -> None:
         if not self.lockstep and self._manager.needs_raw(stamp_ns, data):
             self._fall_back(stamp_ns, data)
-
-    def _on_fallback(self, stamp_ns: int, imu: ImuSample) -> None:
-        self._act(self._manager.take_raw, stamp_ns, imu)
 
     def _on_watchdog(self) -> None:
         if self.active:

@@ -72,7 +72,7 @@ class FaultObserverNode(GraphNode):
         if flies:
             self._read_flight()
         else:
-            gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count, first=None)
+            gate = CommandGate(self.mode, self._diagnose, self.diagnostics.count, first=None)
             self.driven_by("imu/data", gate.put_sample, restart=self._diagnosis.restart, decode=imu_of)
             self.reads("torque/command", gate.put_command, decode=vector_of)
         self._kept: dict[str, Any] = {}
@@ -153,9 +153,6 @@ class FaultObserverNode(GraphNode):
             since=np.array([seconds(max(0, stamp_ns - onset)) if onset else 0.0 for onset in onsets_ns]),
         )
         self._diagnosis.offer(stamp_ns, last)
-
-    def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats | None) -> None:
-        self._diagnose(stamp_ns, sample, torque)
 
     def _diagnose(
         self,
