@@ -100,6 +100,13 @@ def test_file_that_is_no_log_is_named(tmp_path):
     assert done.stderr.startswith(f"error: {path}: a PNG picture; expected a log of one of the formats")
 
 
+def test_name_of_a_file_cannot_steer_the_terminal(tmp_path):
+    path = tmp_path / "\x1b[31mcrash\udcff.bin"
+    path.touch()
+    done = call_quadftc("diagnose", path)
+    assert done.stderr.startswith(rf"error: {tmp_path}/\x1b[31mcrash\udcff.bin: an empty file")
+
+
 def test_level_that_no_flight_supports_is_refused(archive, tmp_path):
     options = ("--mapping", tmp_path / "mapping.toml", "--log", "1", "--out", tmp_path / "out")
     done = call_quadftc("diagnose", archive, *options, "--false-alarms", "1/10h")

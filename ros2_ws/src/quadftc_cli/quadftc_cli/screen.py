@@ -24,10 +24,14 @@ def console(stderr: bool = False) -> Console:
 
 
 def say(*lines: str, stderr: bool = False) -> None:
-    """Print lines as they are, without markup."""
+    """Print lines without markup; control characters, as names of files may have, are escaped."""
     screen = console(stderr)
     for line in lines:
-        screen.print(line, markup=False, soft_wrap=True)
+        screen.print("".join(map(_printable, line)), markup=False, soft_wrap=True)
+
+
+def _printable(each: str) -> str:
+    return each if each.isprintable() or each in "\n\t" else each.encode("unicode_escape").decode()
 
 
 def warn(lines: Iterable[str]) -> None:
