@@ -42,7 +42,7 @@ def fly_graph(tmp_path_factory):
 def replay_run(tmp_path_factory):
     """Replay a run, with a fault overlaid; return the directory of the replay."""
     from quadftc_replay.plan import ReplayOptions
-    from quadftc_replay.ros_output import replay
+    from quadftc_replay.replay_bag import replay
 
     def replayed(run, fault, **options):
         out = tmp_path_factory.mktemp("replayed")

@@ -80,9 +80,9 @@ def write_loop_bag(record: BagRecord, directory: Path, attachments: Mapping[str,
     return dict(file.counts)
 
 
-def add_topic(file: BagFile, topic: str) -> None:
-    """Declare a topic of the table."""
-    name, kind = f"/{topic.lstrip('/')}", TOPICS[topic].type_name
+def add_topic(file: BagFile, topic: str, namespace: str = "/") -> None:
+    """Declare a topic of the table, in the namespace of a vehicle."""
+    name, kind = f"{namespace}{topic.lstrip('/')}", TOPICS[topic].type_name
     interface = load_interface(kind)
     file.add_topic(TopicRecord(name, kind, interface.type_hash, "", interface.text))
 

@@ -24,7 +24,7 @@ from quadftc_replay.diagnose import diagnose, flight_of, true_fault
 from quadftc_replay.imu_recording import Recording, clean_samples
 from quadftc_replay.overlay import faults_from, replay_events, replay_windows
 from quadftc_replay.plan import Replay, ReplayOptions, choose_observer, plan_replay
-from quadftc_replay.ros_output import replay
+from quadftc_replay.replay_bag import replay
 from quadftc_ros.qos import topic_profile
 
 PERIOD_NS = 4_000_000

@@ -21,8 +21,8 @@ from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import ImuSample
 from quadftc_replay.diagnose import flight_of
 from quadftc_replay.plan import ReplayOptions, plan_replay
+from quadftc_replay.replay_bag import replay
 from quadftc_replay.replay_directory import RecordedReplay, replay_from_bag
-from quadftc_replay.ros_output import replay
 from quadftc_ros.qos import topic_profile
 
 PERIOD_NS, START_NS, COUNT = 10_000_000, 7_000_000_000, 3000

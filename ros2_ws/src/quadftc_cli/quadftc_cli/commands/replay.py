@@ -68,7 +68,7 @@ def replay(
     from quadftc_flight.checks import parse_check
     from quadftc_replay.plan import ReplayOptions
     from quadftc_replay.readers import LogChoice
-    from quadftc_replay.ros_output import replay as replay_recording
+    from quadftc_replay.replay_bag import replay as replay_recording
 
     how = ReplayOptions(
         topic=topic,

@@ -12,7 +12,6 @@ import json
 import shutil
 import time
 from itertools import repeat
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,16 @@ import numpy as np
 
 from quadftc_bags.bag import BagError
 from quadftc_bags.bag_file import BagFile
-from quadftc_bags.bag_format import describe_topic
 from quadftc_flight.flight import onset_ns
-from quadftc_flight.loop_bag import CHUNK, Fields, Message, encoded, imu_fields
+from quadftc_flight.loop_bag import (
+    CHUNK,
+    Fields,
+    Message,
+    add_topic,
+    encoded,
+    imu_fields,
+    write_messages,
+)
 from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY
 from quadftc_flight.run_files import RunError, prepare
 from quadftc_model.samples import ImuSample
@@ -31,13 +37,9 @@ from quadftc_replay.imu_from_bag import CORRECTED, DATA, DROPPED, UNTOUCHED
 from quadftc_replay.imu_recording import SerializedTopic, Stamps
 from quadftc_replay.plan import Replay, ReplayOptions, plan_replay
 from quadftc_ros.diagnosis_wire import DiagnosisWire
-from quadftc_ros.qos import topic_profile
 from quadftc_ros.topics import IMU_FRAME, TOPICS
 from quadftc_ros.versions import versions
 from quadftc_sim.injection import TRUTH
-
-DIAGNOSING = 0.85  # share of the work; the rest is writing
-STRIDE = 4096  # messages between two looks of the progress bar
 
 
 def replay(
@@ -48,7 +50,6 @@ def replay(
     The bag becomes the directory ``out/<recording>-<observer>``; ``force`` replaces an earlier one. If it
     cannot be written, or is there already, a RunError says so.
     """
-    follow: Progress = progress or (lambda share: None)
     begin = time.perf_counter()
     plan = plan_replay(path, options)
     directory = out / plan.name
@@ -56,13 +57,13 @@ def replay(
     if target in (source, *source.parents):
         raise BagError(f"{path}: lies in {directory}, which the replay would replace; choose another --out")
     prepare(out, [plan.name], force)
-    diagnosed = plan.diagnose(lambda share: follow(DIAGNOSING * share))
+    diagnosed = plan.diagnose(progress)
     diagnosing = time.perf_counter() - begin
     warnings = list(plan.recording.warnings)
     if count := diagnosed.unusable:
         warnings.append(f"the estimate was not finite at {count} samples; the observer restarted after each")
     try:
-        _write(plan, diagnosed, directory, lambda share: follow(DIAGNOSING + (1.0 - DIAGNOSING) * share))
+        _write(plan, diagnosed, directory)
         wall_time = time.perf_counter() - begin
         result = {
             **plan.summary(diagnosed),
@@ -84,22 +85,16 @@ def replay(
     return result
 
 
-def _write(plan: Replay, diagnosed: Diagnosed, directory: Path, follow: Progress) -> None:
+def _write(plan: Replay, diagnosed: Diagnosed, directory: Path) -> None:
     texts = {PARAMETERS: plan.parameter_file(), DESCRIPTION: plan.origin.description()}
     attachments = {name: text.encode() for name, text in texts.items()}
     bag = BagFile(directory, attachments, {"mode": "replay", **versions()}, "zstd", CHUNK)
     messages: list[Message] = []
     for channel, (name, topic) in enumerate(_topics(plan, diagnosed).items(), 1):
-        row = TOPICS[name]
-        qos = topic_profile(row.qos, "realtime")
-        bag.add_topic(describe_topic(f"{plan.recording.namespace}{name}", row.type_name, qos))
+        add_topic(bag, name, plan.recording.namespace)
         messages += zip(topic.stamp_ns.tolist(), repeat(channel), topic.messages)
-    messages.sort(key=itemgetter(0, 1))
     try:
-        for number, (stamp_ns, channel, data) in enumerate(messages):
-            bag.write(channel, stamp_ns, stamp_ns, data)
-            if number % STRIDE == 0:
-                follow(number / len(messages))
+        write_messages(bag, messages)
         bag.close()
     except BaseException:
         bag.abandon()
