@@ -36,6 +36,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from published_observers.detection import Detection
 from quadftc_fdi import fault_observer
 from quadftc_fdi.fault_observer import (
     SHORTEST,
@@ -84,7 +85,7 @@ class State(NamedTuple):
     gyro: Vector  # [rad/s]
     means: Float[AnyArray, "*batch 3 4"]  # m_ij [rad]
     alert: Vector  # how long n_f is still that of a faulty axis [s]
-    detection: fault_observer.Detection
+    detection: Detection
 
 
 @register("augmented_kalman")
@@ -119,9 +120,7 @@ class AugmentedKalman(FaultObserver):
         hidden = xp.concatenate([xp.eye(3), xp.zeros((3, 3)), -xp.eye(3)], axis=-1)  # x^ is off by the fault
         P = (std_devs**2)[..., None] * xp.eye(9) + self.initial_fault**2 * (hidden.T @ hidden)
         means = xp.stack([zeros] * len(WINDOWS), axis=-1)
-        return State(
-            imu.q_xyzw, zeros, zeros, P, imu.body_rate, means, zeros, fault_observer.Detection.start(zeros)
-        )
+        return State(imu.q_xyzw, zeros, zeros, P, imu.body_rate, means, zeros, Detection.start(zeros))
 
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Predict on the gyro over ``dt`` [s], adapt, and correct by the attitude."""

@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from quadftc_fdi import fault_observer
+from published_observers.detection import Detection
 from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
 from quadftc_fdi.fault_observers.sliding_mode import implicit_injection
 from quadftc_model.arrays import Quaternion, Vector, column, exp, namespace, where
@@ -53,7 +53,7 @@ class State(NamedTuple):
     e: Vector  # z_f - z_f^ [rad]
     fault: Vector  # f_s^ [rad]
     gyro: Vector  # y2 [rad/s]
-    detection: fault_observer.Detection
+    detection: Detection
 
 
 @register("edwards_spurgeon")
@@ -73,7 +73,7 @@ class EdwardsSpurgeon(FaultObserver):
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
-        return State(imu.q_xyzw, zeros, zeros, imu.body_rate, fault_observer.Detection.start(zeros))
+        return State(imu.q_xyzw, zeros, zeros, imu.body_rate, Detection.start(zeros))
 
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
