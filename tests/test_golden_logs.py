@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 from sampling import sampled
 
 from quadftc_tools.study.golden_logs import GOLDEN, judge_log
+from recorded_logs import DATA, needs_data
 
-PARENTS = Path(__file__).resolve().parents
-DATA = next((parent / "shared/data" for parent in PARENTS if (parent / "shared/data").is_dir()), None)
 STORED = json.loads(GOLDEN.read_text(encoding="utf-8"))
 ONSET, PROBABILITY = 0.02, 0.02  # s, 1
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(DATA is None, reason="no recorded logs beside the repository (shared/data)")
+@needs_data
 @pytest.mark.parametrize("name", sampled(STORED, every=11))
 def test_verdict_on_a_recorded_log_is_the_stored_one(name: str):
     stored, path = STORED[name], DATA / name

@@ -17,10 +17,9 @@ from quadftc_tools.study.golden_trials import (
     simulated_trials,
     trials,
 )
+from recorded_logs import DATA, needs_data
 
-PARENTS = Path(__file__).resolve().parents
-ROOT = PARENTS[1]
-DATA = next((parent / "shared/data" for parent in PARENTS if (parent / "shared/data/broad").is_dir()), None)
+ROOT = Path(__file__).resolve().parents[1]
 OBSERVERS = sorted(path.stem for path in STORED.glob("*.json"))
 SHARE = 20  # one trial in so many
 FLOWN = [name for name in OBSERVERS if name != "supervised"]  # `isolating` has its judge within
@@ -39,7 +38,7 @@ def test_observer_says_on_some_flights_what_is_stored(observer):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(DATA is None, reason="no recordings beside the repository (shared/data)")
+@needs_data
 @pytest.mark.parametrize("observer", FLOWN)
 def test_observer_says_on_some_recordings_what_is_stored(observer):
     refuse_differences([*recorded_trials(DATA)][::SHARE], observer)
