@@ -223,6 +223,7 @@ def launch(options: argparse.Namespace) -> int:
             onboard=options.onboard,
             remaps=tuple(options.remap),
         )
+        # first what it will do and who can hear it, then processes
         hint = "" if options.network else " (--network opens it)"
         sys.stderr.write("".join(f"{line}\n" for line in [*introduction(plan), reach() + hint]))
         with (

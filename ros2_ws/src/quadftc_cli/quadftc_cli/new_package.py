@@ -94,6 +94,7 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
         raise ValueError(f"{folder}: exists")
     if importlib.util.find_spec(name) is not None:
         raise ValueError(f"{name}: Python has a package of that name already; expected another")
+    # the package of examples/ is that of an observer; its words become those of the kind
     row, example = KINDS[kind], KINDS["observer"]
     words = {
         rf"\b({row.named}|{example.named}|{PACKAGE})\b": name,

@@ -78,6 +78,7 @@ def run(
         files[1].write_text(plan.parameter_file(), encoding="utf-8")
         wall_time, status = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)
         kept = sum(status.counts.values())
+        # the flight went to its end; without the end of its bag nobody can judge it
         if status.error is not None:
             lost = f"{kept} messages are in the bag, {status.lost} are lost; run quadftc repair {bag}"
             raise GraphError(f"{status.error}: the recording stopped, the flight went on; {lost}")
@@ -85,6 +86,7 @@ def run(
             write_beside(bag / file.name, file.read_text(encoding="utf-8"))
     if wall_time is None:
         return None
+    # judged by its bag, as everybody else will see it
     flight = flight_from_bag(read_bag(bag))
     wanted = sample_count(scenario.duration, scenario.rate) - scenario.sensor.delay
     if options.mode == "lockstep" and len(flight) != wanted:

@@ -56,6 +56,7 @@ def replay(
     source, target = path.resolve(), directory.resolve()
     if target in (source, *source.parents):
         raise BagError(f"{path}: lies in {directory}, which the replay would replace; choose another --out")
+    # from here on an earlier replay is gone; an interrupted one leaves nothing that looks whole
     prepare(out, [plan.name], force)
     diagnosed = plan.diagnose(progress)
     diagnosing = time.perf_counter() - begin

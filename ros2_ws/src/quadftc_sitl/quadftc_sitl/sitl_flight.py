@@ -65,6 +65,7 @@ def fly_sitl(
     start = float(place[0]), float(place[1])
     physics = Physics(plan, start, engine)
     channels = {fault.injection.channel for fault in plan.scenario.faults}
+    # what is entered last ends first: the firmware before those that it talks to
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(MavlinkLink()))
         server = stack.enter_context(contextlib.closing(autopilot.server()))
@@ -76,6 +77,7 @@ def fly_sitl(
         firmware = stack.enter_context(Firmware(beginning.arguments, out, beginning.environment))
         flight.fly(firmware)
         firmware.end(flight.serve)
+    # judged by what it logged itself, and by our truth
     wall_time = time.perf_counter() - begin
     result = flight.result(beginning.arguments, wall_time)
     result |= diagnose_log_of(out, plan, flight.log_zero, result["faults"])

@@ -120,6 +120,7 @@ def _fly_all(
     except KeyboardInterrupt:
         screen.print(f"interrupted; --resume goes on with what is in {directory}")
         return INTERRUPTED
+    # chunks of earlier calls count, too; only what was flown now has a rate
     seconds = time.monotonic() - started
     frame, summary = flown.finish()
     report = write_campaign_report(loaded, frame, summary, directory, str(file))

@@ -76,6 +76,7 @@ def export(
         raise ValueError(f"{out}: exists; choose another place, or --force")
     if samples is not None and log is not None:
         raise ValueError("export: expected either --samples or --log")
+    # options of a law say nothing of samples or a log: they are refused, not ignored
     if is_file and (single or flies or set_ or (vehicle and log is None)):
         name = "--log takes no" if log else "--samples takes no --vehicle,"
         raise ValueError(f"export: {name} --float, --free-flight or --set")

@@ -62,6 +62,7 @@ def replay(
 
     Beside the bag, summary.json says how good the estimates are. The exit code is 1 if a check fails.
     """
+    # a file that is missing is named before what takes seconds is imported
     options.ask_for_files(bag, *faults)
     from quadftc_cli.judging import judge
     from quadftc_cli.metric_table import axis_table, diagnosis_table

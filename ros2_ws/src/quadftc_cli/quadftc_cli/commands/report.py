@@ -50,7 +50,7 @@ def report(
         def progress(what: str, share: float) -> None:
             update(share, what)
 
-        if figure:
+        if figure:  # alone, without reading what else a page needs
             drawn = write_figures(bags, figures_beside(out), figure, progress=progress)
             say(*(f"figure: {file}" for file in drawn))
             return

@@ -96,6 +96,7 @@ def sitl(
     if not plans:
         raise ValueError(f"--only {only}: no such flight in {scenario}")
     todo = [flights.job_of(plan, binary.resolve(), given, out.resolve(), engine) for plan in plans]
+    # flights that are to be resumed stay; of others nothing old may be left among the new
     if force and not resume:
         for job in todo:
             flights.clear(job.out)
