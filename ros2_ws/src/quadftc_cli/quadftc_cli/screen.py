@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from typing import Any
 
 from rich import progress
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.errors import MarkupError
 from rich.table import Table
 from rich.text import Text
 
@@ -17,21 +19,36 @@ STRIDE = 0.005  # share between two updates of a bar
 Update = Callable[..., None]  # sets the share of a task (0 to 1) and, if given, a note behind its bar
 
 
+class Screen(Console):
+    """A console that steers no terminal by what it shows, such as names of files and topics."""
+
+    def render_str(self, text: str, *, markup: bool | None = None, **how: Any) -> Text:
+        """Return a text with its markup, if that makes sense; control characters are escaped."""
+        try:
+            return super().render_str(printable(text), markup=markup, **how)
+        except MarkupError:
+            return super().render_str(printable(text), markup=False, **how)
+
+
+def printable(text: str) -> str:
+    """Return a text whose control characters, but line breaks and tabs, are escaped."""
+    return "".join(
+        each if each.isprintable() or each in "\n\t" else each.encode("unicode_escape").decode()
+        for each in text
+    )
+
+
 def console(stderr: bool = False) -> Console:
     """Console that does not wrap in files and pipes, where the width is unknown."""
-    found = Console(stderr=stderr, highlight=False)
-    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=120)
+    found = Screen(stderr=stderr, highlight=False)
+    return found if found.is_terminal else Screen(stderr=stderr, highlight=False, width=120)
 
 
 def say(*lines: str, stderr: bool = False) -> None:
-    """Print lines without markup; control characters, as names of files may have, are escaped."""
+    """Print lines as they are, without markup."""
     screen = console(stderr)
     for line in lines:
-        screen.print("".join(map(_printable, line)), markup=False, soft_wrap=True)
-
-
-def _printable(each: str) -> str:
-    return each if each.isprintable() or each in "\n\t" else each.encode("unicode_escape").decode()
+        screen.print(line, markup=False, soft_wrap=True)
 
 
 def warn(lines: Iterable[str]) -> None:
@@ -41,7 +58,7 @@ def warn(lines: Iterable[str]) -> None:
 
 def plain_table(left: Iterable[str], right: Iterable[str], title: str | None = None) -> Table:
     """Table with a rule below its headings only: columns of words, then columns of numbers."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=None if title is None else Text(title))
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=None if title is None else Text(printable(title)))
     for heading in left:
         table.add_column(Text(heading), no_wrap=True)
     for heading in right:
@@ -58,8 +75,9 @@ class Bars(progress.Progress):
 
     def __init__(self, screen: Console, still: bool = False) -> None:
         super().__init__(
-            *("{task.description}", progress.BarColumn(), progress.TaskProgressColumn()),
-            *("{task.fields[note]}", progress.TimeElapsedColumn(), progress.TimeRemainingColumn()),
+            *(progress.TextColumn("{task.description}", markup=False), progress.BarColumn()),
+            *(progress.TaskProgressColumn(), progress.TextColumn("{task.fields[note]}", markup=False)),
+            *(progress.TimeElapsedColumn(), progress.TimeRemainingColumn()),
             console=screen,
             auto_refresh=not still,
             disable=not screen.is_terminal,
@@ -70,13 +88,13 @@ class Bars(progress.Progress):
 
     def add(self, name: str) -> Update:
         """Add a task; return what sets its share."""
-        task = self.add_task(name, total=1.0, note="")
+        task = self.add_task(printable(name), total=1.0, note="")
         self._shares[name] = 0.0
 
         def update(share: float, /, note: str = "") -> None:
             if share in (0.0, 1.0) or share - self._shares[name] >= STRIDE:
                 self._shares[name] = share
-                self.update(task, completed=share, note=note, refresh=self._still)
+                self.update(task, completed=share, note=printable(note), refresh=self._still)
                 self._print_line()
 
         return update
