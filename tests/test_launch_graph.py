@@ -315,7 +315,8 @@ def test_on_board_there_is_neither_plant_nor_injector():
     assert "inject" not in words
     plan = GraphPlan({}, "realtime", onboard=True)
     assert {*plan.executables} == {"fault_observer", "controller", "disturbance_observer", "reference"}
-    assert plan.node_parameters("fault_observer")["bank.feels_gravity"] is False
+    observer = plan.node_parameters("fault_observer")
+    assert (observer["bank.feels_gravity"], observer["bank.attitude_from_gyro"]) == (False, True)
 
 
 def test_on_board_a_real_imu_is_followed_and_recorded_by_its_usual_name(tmp_path: Path):

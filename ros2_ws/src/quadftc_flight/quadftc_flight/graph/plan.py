@@ -94,8 +94,8 @@ class GraphPlan:
     def node_parameters(self, node: str) -> dict[str, object]:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
         values = {**self._frames, **self.parameters.get(node, {}), **self._common}
-        if node == "fault_observer" and self.onboard:  # its accelerometer shows drag
-            values.setdefault("bank.feels_gravity", False)
+        if node == "fault_observer" and self.onboard:  # it feels drag; an autopilot's attitude is of its gyro
+            values = {"bank.feels_gravity": False, "bank.attitude_from_gyro": True, **values}
         if node == "plant":
             values["start_when_connected"] = False
         if self.traces is not None:
