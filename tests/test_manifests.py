@@ -61,10 +61,10 @@ class RunTime(ast.NodeTransformer):
         return node.orelse if is_for_types else self.generic_visit(node)
 
 
-def imported_by(package):
-    """Top-level names that the modules of a package import when they run."""
+def imported_by(package, folder=""):
+    """Top-level names that the modules of a package, or of another folder of it, import when they run."""
     names = set()
-    for file in (package / package.name).rglob("*.py"):
+    for file in (package / (folder or package.name)).rglob("*.py"):
         for node in ast.walk(RunTime().visit(ast.parse(file.read_text(encoding="utf-8")))):
             if isinstance(node, ast.Import):
                 names |= {alias.name.partition(".")[0] for alias in node.names}
@@ -86,6 +86,14 @@ def test_manifest_names_what_the_package_imports(package):
     unused = {key for key in keys if not key.endswith(("_msgs", "_srvs", "_interfaces"))} - wanted
     launched = "".join(file.read_text(encoding="utf-8") for file in package.glob("launch/*.py"))
     assert {key for key in unused - {"ros2service"} if key not in launched} == set()
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_manifest_names_the_parts_of_ros_that_tests_import(package):
+    manifest = (package / "package.xml").read_text(encoding="utf-8")
+    keys = set(re.findall(r"<(?:exec|test)_depend>(.*)</(?:exec|test)_depend>", manifest))
+    imports = {name for name in imported_by(package, "test") if name in KNOWN_TO_ROSDEP}
+    assert imports - keys - {"launch", "launch_ros"} == set(), "of these the tests are skipped"
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
