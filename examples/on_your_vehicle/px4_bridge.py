@@ -25,7 +25,7 @@ from quadftc_model.samples import ImuSample
 from quadftc_model.vehicle import load_vehicle
 from quadftc_ros.wire import ImuWire
 
-STALE = 10_000  # µs; sensors that are older than the attitude by more are not paired with it
+STALE = 10_000  # µs; sensors further than that from the attitude are not paired with it with it
 
 
 def sample_of(attitude: Any, sensors: Any) -> ImuSample:

@@ -1,7 +1,8 @@
 """A replay as a rosbag2 bag that any ROS 2 tool opens, with a summary beside it.
 
 The topics are those of the graph, with its stamps: messages are stored under the time of their sample.
-plant/imu and torque/command are as recorded. imu/data is what the observer saw. fault/injected is the
+Of a bag, plant/imu and torque/command are as recorded; of a
+log, plant/imu is made of its samples. imu/data is what the observer saw. fault/injected is the
 recorded and the overlaid fault together. What cannot be used of a recorded sample (not finite, no unit
 quaternion) is marked absent in imu/data.
 """

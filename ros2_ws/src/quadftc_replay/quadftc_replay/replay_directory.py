@@ -129,7 +129,7 @@ def replay_from_bag(bag: Bag) -> RecordedReplay:
         measured=imu_readings_from_bag(bag, "imu/data", flight.stamp_ns),
         corrected=imu_readings_from_bag(bag, "imu/corrected", flight.stamp_ns),
     )
-    # a part of a replay has other figures than the whole, and nothing to be held against
+    # figures of a part are not those of the whole, which are stored
     summary, wrong = replay.summary, list[str]()
     if replay.is_whole:
         summary, wrong = compare_summaries(summary, stored, bag.path)

@@ -5,7 +5,7 @@ with a stamp, which equals the stamp of the IMU sample it belongs to.
 
 Each kind of plant has a graph of its own. On the test stand, node `reference` gives the attitude to follow,
 and the plant takes torques. In free flight, `position_controller` gives attitude and thrust, and the plant
-takes rotor speeds.
+takes rotor speeds. `policy.BESIDE` has what other nodes publish besides.
 """
 
 from __future__ import annotations

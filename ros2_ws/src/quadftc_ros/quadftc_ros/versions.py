@@ -15,7 +15,6 @@ def versions() -> dict[str, str]:
 
     found = {
         "quadftc": software_version(),
-        "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
         "python": platform.python_version(),
         "mcap": version("mcap"),
         "numpy": version("numpy"),
@@ -23,5 +22,6 @@ def versions() -> dict[str, str]:
     if importlib.util.find_spec("rclpy") is not None:
         from rclpy.utilities import get_rmw_implementation_identifier
 
+        found["ros_distro"] = os.environ.get("ROS_DISTRO", "jazzy")
         found["rmw_implementation"] = get_rmw_implementation_identifier()
     return found

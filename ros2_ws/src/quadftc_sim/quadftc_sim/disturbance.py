@@ -1,4 +1,4 @@
-"""What acts on a vehicle for a time; the interface of disturbances, torques on the body, their registry."""
+"""The interface of disturbances, torques on the body, their registry, and the base that winds share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from quadftc_model.registry import Registry
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Acting(Timed, abc.ABC):
-    """Base of what acts on the vehicle from ``start`` to ``stop`` and is zero outside."""
+    """Base of what acts on the vehicle from ``start`` to ``stop``; subclasses say in which unit and frame."""
 
     start: float = parameter(0.0, unit="s", low=0.0, doc="onset, scenario time")
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="end, scenario time")

@@ -93,7 +93,7 @@ def diagnose(
         inspection = diagnose_log(log, how, bars.add(log.resolve().name))
     verdict = inspection.verdict
     _show(verdict)
-    # a page by name has its verdict beside it under that name
+    # the verdict beside PAGE.html is PAGE.json
     place = out or Path("results", f"{log.resolve().name}-diagnosis")
     page = options.page_at(place)
     name = page.with_suffix(".json").name if page == place else VERDICT

@@ -73,9 +73,9 @@ def named_mode(
     ``aged`` is p times the age of its onset [s]; ``few`` the probability that may be left beside it.
 
     Twice the certainty is needed without a torque, and of an attitude without a gyro: only one witness is
-    left. It is needed of an attitude of which the position is ``asked`` (..., 3), as that speaks late; of one
-    that returns; and of one that jumps, which must have stayed. Thrice is needed of a push, and of a lag:
-    these hide what began with them. A wild gyro must be so for as long as it takes to hear vibration.
+    left. It is needed of an attitude of which the position is ``asked`` (..., 3), as that speaks late; of
+    whatever returns; and of an attitude that jumps, which must have stayed. Thrice is needed of a push, a
+    lag, and a younger jump: these hide what began with them. A wild gyro must be so until vibration is heard.
     """
     kind, name = modes.KIND, modes.NAME
     last = ((name == modes.ATTITUDE) & (~good_gyro | asked)[..., modes.AXIS]) | ~driven

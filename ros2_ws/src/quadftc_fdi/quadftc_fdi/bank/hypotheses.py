@@ -66,14 +66,14 @@ USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 
 
 class Bank(NamedTuple):
-    """Hypotheses (..., modes, slots); U has states, axes and two columns, size and slope, before these."""
+    """Hypotheses (..., effects, slots); U has states, axes and two columns, size and slope, before these."""
 
-    U: Array  # (..., 9, 3, 2, modes, slots)
-    J: Array  # size by size, size by slope, slope by slope, by channel and axis (..., 2, 3, 3, modes, slots)
-    d: Array  # (..., 2, 2, 3, modes, slots)
+    U: Array  # (..., 9, 3, 2, effects, slots)
+    J: Array  # size by size, size by slope, slope by slope; by channel, axis (..., 2, 3, 3, effects, slots)
+    d: Array  # (..., 2, 2, 3, effects, slots)
     square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
     count: Array  # of these innovations (..., 2, axes, slots)
-    age: Array  # of onsets (..., modes, slots) [s]
+    age: Array  # of onsets (..., effects, slots) [s]
     started: Array  # log of the prior of the faults that returns end (..., 2, axes, slots)
     since: Array  # since each ring took an onset (..., rings) [s]
     doubt: Array  # largest temper at the onset (..., 2, axes, slots)
@@ -84,9 +84,9 @@ class Bank(NamedTuple):
 def start_bank(like: Vector) -> Bank:
     """Start without an onset; the first comes when noise has been learned."""
     xp, batch = namespace(like), like.shape[:-1]
-    modes = (EFFECTS, len(RING))
-    J, temper = xp.zeros((*batch, 2, 3, 3, *modes)), xp.zeros((*batch, 2, 3, len(SLOTS)))
-    U, age = xp.zeros((*batch, STATES, 3, 2, *modes)), xp.zeros((*batch, *modes)) + NEVER
+    shape = (EFFECTS, len(RING))
+    J, temper = xp.zeros((*batch, 2, 3, 3, *shape)), xp.zeros((*batch, 2, 3, len(SLOTS)))
+    U, age = xp.zeros((*batch, STATES, 3, 2, *shape)), xp.zeros((*batch, *shape)) + NEVER
     none, since = xp.zeros((*batch, 2, 3, len(RING))), xp.zeros((*batch, len(SLOTS))) - LEARNING
     started = none + LOWEST
     doubt = none + DOUBT, temper + DOUBT
@@ -105,7 +105,7 @@ def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
 
 
 def _cross(rate: Vector, theta: Array) -> Array:
-    """Cross product of a rate (..., 3) and vectors (..., 3, 2, modes, slots)."""
+    """Cross product of a rate (..., 3) and vectors (..., 3, 2, effects, slots)."""
     p, q, r = (rate[..., k, None, None, None] for k in range(3))
     x, y, z = (theta[..., k, :, :, :] for k in range(3))
     return namespace(theta).stack([q * z - r * y, r * x - p * z, p * y - q * x], axis=-4)
@@ -182,15 +182,15 @@ def disregard(state: Bank, attitude: Mask, gyro: Mask, untold: Mask) -> Bank:
 
 
 def shape_of(state: Bank) -> Array:
-    """What a size and a slope of 1 add by now (..., 2, modes, slots)."""
+    """What a size and a slope of 1 add by now (..., 2, effects, slots)."""
     began = state.age >= 0.0
     return namespace(state.age).stack([where(began, 1.0, 0.0), where(began, state.age, 0.0)], axis=-3)
 
 
 def of_attitude(state: Bank, rate: Vector, added: Array) -> Array:
-    """S of the attitude (..., 3, 2, modes, slots).
+    """S of the attitude (..., 3, 2, effects, slots).
 
-    ``added`` (..., 3, modes) is what a fault of 1 rad or 1 s adds to its rotation vector.
+    ``added`` (..., 3, effects) is what a fault of 1 rad or 1 s adds to its rotation vector.
     """
     late = rate[..., :, None, None, None] * state.U[..., LAG, :, :, :, :]
     by_fault = added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
@@ -198,7 +198,7 @@ def of_attitude(state: Bank, rate: Vector, added: Array) -> Array:
 
 
 def of_tilt(state: Bank, vertical: Vector, added: Array) -> Array:
-    """S of the tilt by gravity (..., 3, 2, modes, slots); ``added`` (..., 3, modes) is what 1 rad adds.
+    """S of the tilt by gravity (..., 3, 2, effects, slots); ``added`` (..., 3, effects) is what 1 rad adds.
 
     What turns about the ``vertical`` (..., 3), a unit vector in body axes, is no tilt.
     """
@@ -209,7 +209,7 @@ def of_tilt(state: Bank, vertical: Vector, added: Array) -> Array:
 
 
 def of_gyro(state: Bank, rate: Vector, due: Vector) -> Array:
-    """S of the gyro (..., 3, 2, modes, slots), which should read ``due`` (..., 3) [rad/s]."""
+    """S of the gyro (..., 3, 2, effects, slots), which should read ``due`` (..., 3) [rad/s]."""
     added = pattern(GYRO) + column(due) * pattern(SCALED)
     by_scale = sum(
         rate[..., k, None, None, None, None] * state.U[..., SCALE.start + k, :, :, :, :] for k in range(3)
@@ -231,7 +231,7 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array, vague: Vector | None
         known = (seen.variance / (seen.variance + vague))[..., None, None]
         known = where((KIND[:EFFECTS] == SCALED)[:, None], known, 1.0)
         w, e = w * known, e * known[..., None, :, :]
-    one, two = S[..., 0, :, :], S[..., 1, :, :]  # (..., 3, modes, slots)
+    one, two = S[..., 0, :, :], S[..., 1, :, :]  # (..., 3, effects, slots)
     J = xp.stack([w * one * one, w * one * two, w * two * two], axis=-4)
     gain = seen.gain.swapaxes(-1, -2)[..., None, None, None]  # (..., 9, 3, 1, 1, 1)
     own = np.eye(2)[channel][:, None, None, None]

@@ -82,7 +82,7 @@ def believe(
     """Return the posterior of size and slope, and the weight of mode and onset.
 
     A wild gyro, or a wrong scale, is a hypothesis where the attitude is good (..., 3) and the torque is
-    known: one of these alone tells neither from motion, nor from an attitude that jumps. Where neither a
+    known: either alone does not tell them from motion or from a jump. Where neither a
     good attitude nor gravity has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of
     odds. Where a sensor is ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next
     fault is no rarer than what is none.

@@ -72,7 +72,7 @@ KINDS = (
     Kind(GYRO, GYRO, True, GYRO_SIZE, GYRO_WILD, FAULTS),
 )
 MODES = 3 * len(KINDS)
-EFFECTS = 27  # modes with an effect of their own; the other kinds share one
+EFFECTS = 27  # modes with an effect of their own; the other kinds have that of another, `Kind.effect`
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
 NAME = np.array([kind.name for kind in KINDS])[KIND]

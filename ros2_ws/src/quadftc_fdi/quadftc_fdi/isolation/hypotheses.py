@@ -17,7 +17,7 @@ Then each reading is asked what else would have to be true. With the torque, att
 unknown acceleration, d_a and d_g. The larger is the less likely. And an attitude may scatter more than its
 noise: s is the squared change of its innovation in variances.
 
-    l' = (d_g² - d_a²) / (2 sigma² T) - max(s - 3, 0) / (2 T)
+    l' = (d_g² / sigma² - d_a² / (sigma² + var d_a) - max(s - 3, 0)) / (2 T) - l / FADES
 
 Without a known torque, or with an attitude made of the gyro, neither belief nor accelerations tell: l stays
 zero but for the position. m is less what the attitude-based rate may be off by.

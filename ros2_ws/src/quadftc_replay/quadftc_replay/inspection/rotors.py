@@ -86,7 +86,7 @@ def _why_no_loss(flight: Flight, has_rotors: bool, model: Identified | None, sho
         shares = " and ".join(f"{value:.2f}" for value in model.r2[:2])
         return f"their layout is not known, and the flight hardly excites roll and pitch (R² {shares})"
     return (
-        "their layout is not known, and commands or speeds are slower than 25 Hz, or there are less than 5 s"
+        "their layout is not known, and commands or speeds are slower than 25 Hz, or there are less than 4 s"
     )
 
 

@@ -46,11 +46,12 @@ class Finding(_Strict):
 
     component: str = Field(
         description="gyro, accelerometer, attitude, rotor, battery, speed sensor, magnetometer, barometer,"
-        " gps, response (of the vehicle to its commands); another one: 'gyro 2'"
+        " gps, vibration, position (as it is flown by), response (of the vehicle to its commands);"
+        " another one: 'gyro 2'"
     )
     element: str = Field(
-        description="x, y, z (gps: north, east, up); roll, pitch, yaw, or several of them; a rotor's number;"
-        " '': all of it"
+        description="x, y, z (gps, position: east, north, up); roll, pitch, yaw, or several of them;"
+        " a rotor's number; '': all of it"
     )
     kind: Kind = Field(
         description="what the fault looks like; loss: a part is missing, off: all of it;"
