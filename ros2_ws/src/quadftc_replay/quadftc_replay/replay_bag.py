@@ -1,10 +1,9 @@
 """A replay as a rosbag2 bag that any ROS 2 tool opens, with a summary beside it.
 
 The topics are those of the graph, with its stamps: messages are stored under the time of their sample.
-Of a bag, plant/imu and torque/command are as recorded; of a
-log, plant/imu is made of its samples. imu/data is what the observer saw. fault/injected is the
-recorded and the overlaid fault together. What cannot be used of a recorded sample (not finite, no unit
-quaternion) is marked absent in imu/data.
+Of a bag, plant/imu and torque/command are as recorded; of a log, plant/imu is made of its samples. imu/data
+is what the observer saw. fault/injected is the recorded and the overlaid fault together. What cannot be used
+of a recorded sample (not finite, no unit quaternion) is marked absent in imu/data.
 """
 
 from __future__ import annotations
@@ -21,15 +20,7 @@ import numpy as np
 from quadftc_bags.bag import BagError
 from quadftc_bags.bag_file import BagFile
 from quadftc_flight.flight import onset_ns
-from quadftc_flight.loop_bag import (
-    CHUNK,
-    Fields,
-    Message,
-    add_topic,
-    encoded,
-    imu_fields,
-    write_messages,
-)
+from quadftc_flight.loop_bag import CHUNK, Fields, Message, add_topic, encoded, imu_fields, write_messages
 from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY
 from quadftc_flight.run_files import RunError, prepare
 from quadftc_model.samples import ImuSample

@@ -82,10 +82,10 @@ def believe(
     """Return the posterior of size and slope, and the weight of mode and onset.
 
     A wild gyro, or a wrong scale, is a hypothesis where the attitude is good (..., 3) and the torque is
-    known: either alone does not tell them from motion or from a jump. Where neither a
-    good attitude nor gravity has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of
-    odds. Where a sensor is ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next
-    fault is no rarer than what is none.
+    known: either alone does not tell them from motion or from a jump. Where neither a good attitude nor
+    gravity has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of odds. Where a
+    sensor is ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next fault is no
+    rarer than what is none.
     """
     xp, square, count = namespace(state.age), state.square, state.count  # (..., 2, axes, slots)
     J, d = (part.sum(axis=-3)[..., EFFECT, :] for part in (state.J, state.d))
@@ -190,7 +190,7 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     ratio = smaller(square / larger(usual, 0.5), CLIP * state.temper)
     news = step * enough / (SETTLE + time) * (ratio - state.temper)
     temper = larger(state.temper + news, 1.0)
-    # a hypothesis older than what was learned before it follows what is learned, until the rings are full
+    # one that began before much was learned follows what is learned, until the rings are full
     unknown = smaller(2.0 * state.age.max(axis=-2), SPACING[-1] * SLOTS[-1])[..., None, None, :]
     doubt = larger(state.doubt, temper.max(axis=-1)[..., None])
     doubt = where(time.max(axis=-1)[..., None] < unknown, doubt, state.doubt)
