@@ -103,6 +103,12 @@ def believed_of(bank, good_attitude=THERE, failing=NONE):
     return inference.believe(bank, good_attitude, good_attitude, np.True_, failing, RARER)
 
 
+def by_size_and_slope(bank, mode, slot):
+    """U of a mode on its own axis (4, 2); no slope is none."""
+    U = bank.U[:4, AXIS, :, slot]
+    return np.column_stack([U[:, mode], U[:, modes.EFFECTS + mode] if mode < modes.SLOPES else 0.0 * U[:, 0]])
+
+
 def one_onset(bank, now):
     """Let all hypotheses grow older; begin an onset in each ring, or in none."""
     bank = bank._replace(since=np.array(SPACING) if now else np.full(len(SLOTS), -1.0))
@@ -153,7 +159,7 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
     evidence = believed.log_weight[mode, SLOT] - hypotheses.USUAL[mode, SLOT]
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
     assert evidence > 3.0 or repeats_gyro  # it was seen; an attitude that repeats a gyro's fault hides it
-    b, U = believed.b[:, mode, SLOT], bank.U[:4, AXIS, :, mode, SLOT]
+    b, U = believed.b[:, mode, SLOT], by_size_and_slope(bank, mode, SLOT)
     assert b == pytest.approx(knows.x[4:], rel=1e-6, abs=1e-9)
     angle_now = 2.0 * np.arctan2(state.q_xyzw[AXIS], state.q_xyzw[3])
     x = np.array([angle_now, state.bias[AXIS], state.rate[AXIS], state.unknown[AXIS]])
@@ -200,7 +206,7 @@ def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
     assert evidence > believed.log_weight[3 * ended + AXIS].max()
     assert believed.b[:, mode, slot] == pytest.approx(knows.x[4:], rel=1e-6, abs=1e-9)
-    b, U = believed.b[:, mode, slot], bank.U[:4, AXIS, :, mode, slot]
+    b, U = believed.b[:, mode, slot], by_size_and_slope(bank, mode, slot)
     angle_now = 2.0 * np.arctan2(state.q_xyzw[AXIS], state.q_xyzw[3])
     x = np.array([angle_now, state.bias[AXIS], state.rate[AXIS], state.unknown[AXIS]])
     assert x + U @ b == pytest.approx(knows.x[:4], rel=1e-6, abs=1e-8)
@@ -209,7 +215,7 @@ def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(
 def test_what_a_fault_has_taught_since_its_onset_does_not_excuse_it():
     flown = [np.ones(2), np.array([1.0, 4.0])]  # temper before and from the onset on
     seen = motion.Gains(np.ones(3), np.ones(3), np.zeros((3, motion.STATES)), THERE)
-    S = np.ones((3, 2, modes.EFFECTS, sum(SLOTS)))
+    S = np.ones((3, len(modes.COLUMN), sum(SLOTS)))
     told = []
     for before, since in flown:
         bank = one_onset(hypotheses.start_bank(np.zeros(3)), now=False)
@@ -241,7 +247,7 @@ def test_a_hypothesis_knows_how_axes_are_coupled_in_a_turn(kind, repeats_gyro):
         rotation_between(faulty.q_xyzw, healthy.q_xyzw),
         *(getattr(healthy, name) - getattr(faulty, name) for name in ("bias", "rate", "unknown")),
     ]
-    U = bank.U[:4, :, 0, 3 * kind + 1, SLOT]  # (states, axes)
+    U = bank.U[:4, :, 3 * kind + 1, SLOT]  # (states, axes)
     assert np.array(moved) / size == pytest.approx(U, rel=0.0, abs=0.002)
     assert abs(U[THETA, 1]) > 0.01
 
@@ -255,7 +261,7 @@ def test_a_hypothesis_knows_which_turns_gravity_shows(axis):
     innovation = motion.take_tilt(state, force, np.ones(3), THERE)[1].innovation
     bank = hypotheses.start_bank(np.zeros(3))
     bank.U[THETA, axis, 0] = 1.0
-    shown = hypotheses.of_tilt(bank, earth_z_in_body(q_xyzw), modes.pattern(modes.FELT))[:2, 0, 0, 0]
+    shown = hypotheses.of_tilt(bank, earth_z_in_body(q_xyzw), modes.pattern(modes.FELT))[:2, 0, 0]
     assert shown == pytest.approx(innovation[:2] / size, abs=1e-5)
 
 
@@ -415,11 +421,11 @@ def test_a_scale_of_a_rate_that_is_vague_is_told_as_vaguely():
     """A dead gyro misses the rate by as much as that itself is unknown; other faults do not."""
     bank = one_onset(hypotheses.start_bank(np.zeros(3)), now=True)
     seen = motion.Gains(np.ones(3), np.ones(3), np.zeros((3, motion.STATES)), THERE)
-    S = np.ones((3, 2, modes.EFFECTS, sum(SLOTS)))
+    S = np.ones((3, len(modes.COLUMN), sum(SLOTS)))
     sharp, vague = (hypotheses.weigh(bank, OF_GYRO, seen, S, v) for v in (np.zeros(3), np.full(3, 3.0)))
     scaled = (modes.KIND[: modes.EFFECTS] == modes.SCALED)[:, None]
-    for before, after in ((sharp.J, vague.J), (sharp.d, vague.d)):
-        np.testing.assert_allclose(after, np.where(scaled, 0.25, 1.0) * before)
+    for before, after, rows in ((sharp.J, vague.J, modes.PRODUCT), (sharp.d, vague.d, modes.COLUMN)):
+        np.testing.assert_allclose(after, np.where(scaled[rows], 0.25, 1.0) * before)
 
 
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
@@ -452,7 +458,7 @@ def test_what_the_axis_of_a_named_fault_has_shown_speaks_for_no_other(settled):
     after = hypotheses.forget(bank, np.array([True, False, False]), THERE & settled, NONE)
     left = np.array([[not settled, True, True], [False, True, True]])  # by gyro and attitude
     for part in (after.J, after.d):
-        np.testing.assert_array_equal(part, np.broadcast_to(left[:, None, :, None, None], part.shape))
+        np.testing.assert_array_equal(part, np.broadcast_to(left[..., None, None], part.shape))
     for part in (after.square, after.count):
         np.testing.assert_array_equal(part, np.broadcast_to(left[..., None], part.shape))
 
@@ -462,8 +468,8 @@ def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_d
     bank = bank._replace(J=bank.J + 1.0, d=bank.d + 1.0)
     after = hypotheses.forget(bank, NONE, NONE, np.array([True, False, False]))
     again = (modes.NAME == modes.GYRO)[: modes.EFFECTS] & (modes.AXIS[: modes.EFFECTS] == 0)
-    for part in (after.J, after.d):
-        np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[:, None], part.shape))
+    for part, rows in ((after.J, modes.PRODUCT), (after.d, modes.COLUMN)):
+        np.testing.assert_array_equal(part, np.broadcast_to(1.0 * ~again[rows, None], part.shape))
 
 
 @pytest.mark.parametrize("sensor", range(3))
@@ -490,8 +496,8 @@ def test_a_gyro_whose_attitude_is_not_good_is_less_likely_to_be_blamed():
 
 def test_no_attitude_is_early():
     bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
-    J = np.where(np.arange(3)[:, None, None, None] == 0, 50.0, 0.0) * np.ones_like(bank.J)
-    d = 0.1 * J[:, :2]
+    J, d = (np.zeros_like(part) for part in (bank.J, bank.d))
+    J[..., : modes.EFFECTS, :], d[..., : modes.EFFECTS, :] = 50.0, 5.0
     late, early = (believed_of(bank._replace(J=J, d=sign * d)) for sign in (1.0, -1.0))
     worth = late.log_weight - early.log_weight
     began = late.log_weight > hypotheses.LOWEST

@@ -45,9 +45,9 @@ def probabilities(posterior: Posterior) -> tuple[Array, Array, Array]:
     offset would be named for it.
     """
     weight = posterior.log_weight
-    highest = larger(weight.max(axis=(-1, -2)), 0.0)
+    highest = larger(weight.max(axis=-2).max(axis=-1), 0.0)
     shares, none = exp(weight - highest[..., None, None]), exp(-highest)
-    total = none + shares.sum(axis=(-1, -2))
+    total = none + shares.sum(axis=-2).sum(axis=-1)
     shares = shares / total[..., None, None]
     p = shares.sum(axis=-1)
     others = p @ (1.0 - modes.SAME)  # a sum, as 1 - p would lose it to rounding

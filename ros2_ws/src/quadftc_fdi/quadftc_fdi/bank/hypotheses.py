@@ -24,16 +24,19 @@ import numpy as np
 
 from quadftc_fdi.bank.modes import (
     AXIS,
+    COLUMN,
     EFFECTS,
     GYRO,
     GYRO_RETURN,
     KIND,
     MORE,
     NAME,
+    PRODUCT,
     PUSH,
     RATE,
     RETURN,
     SCALED,
+    SLOPES,
     pattern,
 )
 from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, LEAN, OMEGA, SCALE, STATES, THETA, D, Gains
@@ -66,11 +69,11 @@ USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 
 
 class Bank(NamedTuple):
-    """Hypotheses (..., effects, slots); U has states, axes and two columns, size and slope, before these."""
+    """Hypotheses (..., effects, slots), by columns or products of `modes` where they have size and slope."""
 
-    U: Array  # (..., 9, 3, 2, effects, slots)
-    J: Array  # size by size, size by slope, slope by slope; by channel, axis (..., 2, 3, 3, effects, slots)
-    d: Array  # (..., 2, 2, 3, effects, slots)
+    U: Array  # by states and axes (..., 9, 3, columns, slots)
+    J: Array  # by channel and axis (..., 2, 3, products, slots)
+    d: Array  # (..., 2, 3, columns, slots)
     square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
     count: Array  # of these innovations (..., 2, axes, slots)
     age: Array  # of onsets (..., effects, slots) [s]
@@ -84,31 +87,31 @@ class Bank(NamedTuple):
 def start_bank(like: Vector) -> Bank:
     """Start without an onset; the first comes when noise has been learned."""
     xp, batch = namespace(like), like.shape[:-1]
-    shape = (EFFECTS, len(RING))
-    J, temper = xp.zeros((*batch, 2, 3, 3, *shape)), xp.zeros((*batch, 2, 3, len(SLOTS)))
-    U, age = xp.zeros((*batch, STATES, 3, 2, *shape)), xp.zeros((*batch, *shape)) + NEVER
-    none, since = xp.zeros((*batch, 2, 3, len(RING))), xp.zeros((*batch, len(SLOTS))) - LEARNING
+    slots, temper = len(RING), xp.zeros((*batch, 2, 3, len(SLOTS)))
+    U, age = xp.zeros((*batch, STATES, 3, len(COLUMN), slots)), xp.zeros((*batch, EFFECTS, slots)) + NEVER
+    J, d = (xp.zeros((*batch, 2, 3, len(rows), slots)) for rows in (PRODUCT, COLUMN))
+    none, since = xp.zeros((*batch, 2, 3, slots)), xp.zeros((*batch, len(SLOTS))) - LEARNING
     started = none + LOWEST
     doubt = none + DOUBT, temper + DOUBT
-    return Bank(U, J, J[..., :2, :, :, :], none, none, age, started, since, *doubt, temper)
+    return Bank(U, J, d, none, none, age, started, since, *doubt, temper)
 
 
 def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
     """Advance U by ``dt`` [s]; a rate [rad/s] turns the body axes in which angles are told."""
-    step = column(column(column(column(dt))))
-    rows = [state.U[..., k, :, :, :, :] for k in range(STATES)]
+    step = column(column(column(dt)))
+    rows = [state.U[..., k, :, :, :] for k in range(STATES)]
     by = -rows[BETA] if repeats_gyro else rows[OMEGA] + 0.5 * step * rows[D]
     rows[THETA] = rows[THETA] + step * (by - _cross(rate, rows[THETA]))
     rows[OMEGA] = rows[OMEGA] + step * rows[D]
     rows[D] = exp(-step / CORRELATED) * rows[D]
-    return state._replace(U=namespace(state.U).stack(rows, axis=-5))
+    return state._replace(U=namespace(state.U).stack(rows, axis=-4))
 
 
 def _cross(rate: Vector, theta: Array) -> Array:
-    """Cross product of a rate (..., 3) and vectors (..., 3, 2, effects, slots)."""
-    p, q, r = (rate[..., k, None, None, None] for k in range(3))
-    x, y, z = (theta[..., k, :, :, :] for k in range(3))
-    return namespace(theta).stack([q * z - r * y, r * x - p * z, p * y - q * x], axis=-4)
+    """Cross product of a rate (..., 3) and vectors (..., 3, columns, slots)."""
+    p, q, r = (rate[..., k, None, None] for k in range(3))
+    x, y, z = (theta[..., k, :, :] for k in range(3))
+    return namespace(theta).stack([q * z - r * y, r * x - p * z, p * y - q * x], axis=-3)
 
 
 def open_slots(state: Bank, worth: Array, failing: Flag, dt: Scalar) -> Bank:
@@ -128,15 +131,15 @@ def open_slots(state: Bank, worth: Array, failing: Flag, dt: Scalar) -> Bank:
         least = row == row.min(axis=-1, keepdims=True)
         new.append(least & (xp.cumsum(1.0 * least, axis=-1) <= 1.0) & due[..., ring : ring + 1])
     fresh = xp.concatenate(new, axis=-1)[..., None, :]
-    jump = np.zeros((STATES, 3, 2, EFFECTS, 1))
-    jump[D, :, 0, :, 0] = pattern(PUSH)
+    jump = np.zeros((STATES, 3, len(COLUMN), 1))
+    jump[D, :, :EFFECTS, 0] = pattern(PUSH)
     ended = [_likeliest(state, worth, channel, failing) for _, channel in RETURNS]
     best, started = [each for each, _ in ended], xp.stack([prior for _, prior in ended], axis=-3)
     temper = state.temper.max(axis=-1)[..., None]
     return state._replace(
-        U=where(fresh[..., None, None, None, :, :], jump + _returning(state.U, best), state.U),
-        J=where(fresh[..., None, None, None, :, :], _returning(state.J, best), state.J),
-        d=where(fresh[..., None, None, None, :, :], _returning(state.d, best), state.d),
+        U=where(fresh[..., None, None, :, :], jump + _returning(state.U, best), state.U),
+        J=where(fresh[..., None, None, :, :], _returning(state.J, best), state.J),
+        d=where(fresh[..., None, None, :, :], _returning(state.d, best), state.d),
         started=where(fresh[..., None, :, :], started, state.started),
         doubt=where(fresh[..., None, :, :], temper, state.doubt),
         square=where(fresh[..., None, :, :], 0.0, state.square),
@@ -161,12 +164,17 @@ def _likeliest(state: Bank, worth: Array, channel: int, failing: Flag) -> tuple[
 
 def _returning(part: Array, best: list[Array]) -> Array:
     """Return what is known of the ``best`` faults (..., 3, slots), in rows of returns; zeros in others."""
-    xp, rows = namespace(part), [namespace(part).zeros_like(part[..., :3, :1])] * (EFFECTS // 3)
-    for (kind, channel), chosen in zip(RETURNS, best, strict=True):
-        between = (None,) * (part.ndim - chosen.ndim)
-        known = part[..., TESTS[channel], :] * chosen[(..., *between, slice(None), slice(None))]
-        rows[kind] = known.sum(axis=-1, keepdims=True)
-    return xp.concatenate(rows, axis=-2)
+    xp, rows = namespace(part), [part[..., k : k + 3, :] for k in range(0, part.shape[-2], 3)]
+    chosen = {kind: (TESTS[channel].start // 3, best[k]) for k, (kind, channel) in enumerate(RETURNS)}
+    none = xp.zeros_like(rows[0][..., :1])
+    known = [none] * len(rows)
+    for row, kind in enumerate(PRODUCT[: part.shape[-2] : 3] // 3):
+        if kind in chosen:
+            ended, likely = chosen[kind]
+            known[row] = (rows[row - kind + ended] * likely[..., None, None, :, :]).sum(
+                axis=-1, keepdims=True
+            )
+    return xp.concatenate(known, axis=-2)
 
 
 def disregard(state: Bank, attitude: Mask, gyro: Mask, untold: Mask) -> Bank:
@@ -176,46 +184,42 @@ def disregard(state: Bank, attitude: Mask, gyro: Mask, untold: Mask) -> Bank:
     is faulty, or was a second ago.
     """
     none = namespace(gyro).zeros_like(gyro)
-    as_kinds = [attitude, gyro, none, none, attitude, none, none, gyro, attitude | untold]
+    as_kinds = [attitude, gyro, none, none, none, none, attitude, gyro, attitude | untold]
     stuck = namespace(gyro).concatenate(as_kinds, axis=-1)
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 
 
 def shape_of(state: Bank) -> Array:
-    """What a size and a slope of 1 add by now (..., 2, effects, slots)."""
-    began = state.age >= 0.0
-    return namespace(state.age).stack([where(began, 1.0, 0.0), where(began, state.age, 0.0)], axis=-3)
+    """What a size and a slope of 1 add by now (..., columns, slots)."""
+    sizes, slopes = where(state.age >= 0.0, 1.0, 0.0), larger(state.age[..., :SLOPES, :], 0.0)
+    return namespace(state.age).concatenate([sizes, slopes], axis=-2)
 
 
 def of_attitude(state: Bank, rate: Vector, added: Array) -> Array:
-    """S of the attitude (..., 3, 2, effects, slots).
+    """S of the attitude (..., 3, columns, slots).
 
     ``added`` (..., 3, effects) is what a fault of 1 rad or 1 s adds to its rotation vector.
     """
-    late = rate[..., :, None, None, None] * state.U[..., LAG, :, :, :, :]
-    by_fault = added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
-    return state.U[..., THETA, :, :, :, :] - late + by_fault
+    late = rate[..., None, None] * state.U[..., LAG, :, :, :]
+    return state.U[..., THETA, :, :, :] - late + added[..., COLUMN, None] * shape_of(state)[..., None, :, :]
 
 
 def of_tilt(state: Bank, vertical: Vector, added: Array) -> Array:
-    """S of the tilt by gravity (..., 3, 2, effects, slots); ``added`` (..., 3, effects) is what 1 rad adds.
+    """S of the tilt by gravity (..., 3, columns, slots); ``added`` (..., 3, effects) is what 1 rad adds.
 
     What turns about the ``vertical`` (..., 3), a unit vector in body axes, is no tilt.
     """
-    theta = state.U[..., THETA, :, :, :, :]
-    v, z = vertical[..., :, None, None, None], vertical[..., 2:, None, None, None]
-    by_motion = z * (z * theta - v * theta[..., 2:, :, :, :]) + state.U[..., LEAN, :, :, :, :]
-    return by_motion + added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
+    theta, v, z = state.U[..., THETA, :, :, :], vertical[..., None, None], vertical[..., 2:, None, None]
+    by_motion = z * (z * theta - v * theta[..., 2:, :, :]) + state.U[..., LEAN, :, :, :]
+    return by_motion + added[..., COLUMN, None] * shape_of(state)[..., None, :, :]
 
 
 def of_gyro(state: Bank, rate: Vector, due: Vector) -> Array:
-    """S of the gyro (..., 3, 2, effects, slots), which should read ``due`` (..., 3) [rad/s]."""
+    """S of the gyro (..., 3, columns, slots), which should read ``due`` (..., 3) [rad/s]."""
     added = pattern(GYRO) + column(due) * pattern(SCALED)
-    by_scale = sum(
-        rate[..., k, None, None, None, None] * state.U[..., SCALE.start + k, :, :, :, :] for k in range(3)
-    )
-    by_motion = state.U[..., OMEGA, :, :, :, :] + state.U[..., BETA, :, :, :, :] + by_scale
-    return by_motion + added[..., :, None, :, None] * shape_of(state)[..., None, :, :, :]
+    by_scale = sum(rate[..., k, None, None, None] * state.U[..., SCALE.start + k, :, :, :] for k in range(3))
+    by_motion = state.U[..., OMEGA, :, :, :] + state.U[..., BETA, :, :, :] + by_scale
+    return by_motion + added[..., COLUMN, None] * shape_of(state)[..., None, :, :]
 
 
 def weigh(state: Bank, channel: int, seen: Gains, S: Array, vague: Vector | None = None) -> Bank:
@@ -226,21 +230,23 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array, vague: Vector | None
     xp = namespace(S)
     weight = column(where(seen.used, 1.0 / seen.variance, 0.0)) / state.doubt[..., channel, :, :]
     e = weight * column(seen.innovation)  # (..., 3, slots)
-    square, e, w = e * column(seen.innovation), e[..., None, None, :], weight[..., None, :]
+    square, e, w = e * column(seen.innovation), e[..., None, :], weight[..., None, :]
     if vague is not None:
         known = (seen.variance / (seen.variance + vague))[..., None, None]
         known = where((KIND[:EFFECTS] == SCALED)[:, None], known, 1.0)
-        w, e = w * known, e * known[..., None, :, :]
-    one, two = S[..., 0, :, :], S[..., 1, :, :]  # (..., 3, effects, slots)
-    J = xp.stack([w * one * one, w * one * two, w * two * two], axis=-4)
-    gain = seen.gain.swapaxes(-1, -2)[..., None, None, None]  # (..., 9, 3, 1, 1, 1)
-    own = np.eye(2)[channel][:, None, None, None]
+        w, e = w * known, e * known
+    sizes, slopes, sloped = S[..., :EFFECTS, :], S[..., EFFECTS:, :], w[..., :SLOPES, :]
+    mixed = sloped * sizes[..., :SLOPES, :] * slopes
+    J = xp.concatenate([w * sizes * sizes, mixed, sloped * slopes * slopes], axis=-2)
+    d = xp.concatenate([e * sizes, e[..., :SLOPES, :] * slopes], axis=-2)
+    gain = seen.gain.swapaxes(-1, -2)[..., None, None]  # (..., 9, 3, 1, 1)
+    own = np.eye(2)[channel][:, None, None]
     return state._replace(
-        U=state.U - gain * S[..., None, :, :, :, :],
-        J=state.J + own[..., None] * J[..., None, :, :, :, :],
-        d=state.d + own[..., None] * (e * S).swapaxes(-3, -4)[..., None, :, :, :, :],
-        square=state.square + own[..., 0] * square[..., None, :, :],
-        count=state.count + own[..., 0] * seen.used[..., None, :, None],
+        U=state.U - gain * S[..., None, :, :, :],
+        J=state.J + own[..., None] * J[..., None, :, :, :],
+        d=state.d + own[..., None] * d[..., None, :, :, :],
+        square=state.square + own * square[..., None, :, :],
+        count=state.count + own * seen.used[..., None, :, None],
     )
 
 
@@ -256,8 +262,8 @@ def forget(state: Bank, axes: Mask, settled: Mask, alone: Mask) -> Bank:
     gone = (axes[..., own] & (settled[..., own] | ~of_gyro))[..., None]
     again = (alone[..., own] & of_gyro)[..., None]
     shown = xp.stack([axes & settled, axes], axis=-2)  # by gyro and attitude (..., 2, axes)
-    lost = shown[..., None, :, None, None] | again[..., None, None, None, :, :]  # with axes, effects, slots
-    J, d = (where(lost, 0.0, part) for part in (state.J, state.d))
+    lost = shown[..., None, None] | again[..., None, None, :, :]  # by channel and axis, effects, slots
+    J, d = where(lost[..., PRODUCT, :], 0.0, state.J), where(lost[..., COLUMN, :], 0.0, state.d)
     heard = (shown | alone[..., None, :])[..., None]
     square, count = (where(heard, 0.0, part) for part in (state.square, state.count))
     return state._replace(age=where(gone, NEVER, state.age), J=J, d=d, square=square, count=count)

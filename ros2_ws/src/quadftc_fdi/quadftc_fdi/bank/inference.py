@@ -25,6 +25,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quadftc_fdi.bank.hypotheses import LOWEST, OF_GYRO, RETURNS, RING, SLOTS, SPACING, TESTS, USUAL, Bank
 from quadftc_fdi.bank.modes import (
@@ -42,15 +43,18 @@ from quadftc_fdi.bank.modes import (
     PUSH,
     SCALED,
     SENSOR,
+    SLOPES,
     STRETCHED,
     WILD,
 )
+from quadftc_fdi.bank.motion import OMEGA, THETA
 from quadftc_fdi.bank.noise import MEMORY, SMALL
 from quadftc_model.arrays import (
     Array,
     Flag,
     Mask,
     Scalar,
+    Vector,
     clip,
     column,
     exp,
@@ -88,7 +92,7 @@ def believe(
     rarer than what is none.
     """
     xp, square, count = namespace(state.age), state.square, state.count  # (..., 2, axes, slots)
-    J, d = (part.sum(axis=-3)[..., EFFECT, :] for part in (state.J, state.d))
+    J, d = (_lines(part, EFFECT) for part in (state.J, state.d))
     heard, number = square[..., OF_GYRO, :, :], count[..., OF_GYRO, :, :]
     # gyros that scatter: those of vibration, and wild ones less their line
     _, b, _ = _solved(J[..., WILDS, :].sum(axis=-4), d[..., WILDS, :].sum(axis=-4), PRIOR[WILDS])
@@ -122,6 +126,18 @@ def believe(
     return Posterior(weight, b, covariance, 1.0 / (1.0 + exp(clip(more, -CERTAIN, CERTAIN))))
 
 
+def _lines(part: Array, effects: NDArray[np.intp]) -> Array:
+    """Return J or d of some effects, summed over axes: sizes, then slopes (..., 3 or 2, effects, slots).
+
+    What has no slope has zeros there.
+    """
+    xp, total = namespace(part), part.sum(axis=-3)
+    rows = total.shape[-2]
+    slopes = [np.where(effects < SLOPES, effects + k, rows) for k in range(EFFECTS, rows, SLOPES)]
+    padded = xp.concatenate([total, xp.zeros_like(total[..., :1, :])], axis=-2)
+    return padded[..., np.stack([effects, *slopes]), :]
+
+
 def _scattering(square: Array, count: Array, scatter: Array) -> Array:
     """Return the log-likelihood that a scatter adds, by the sum of the squares of so many innovations."""
     return 0.5 * (square * (1.0 - 1.0 / scatter) - count * log(scatter))
@@ -138,8 +154,8 @@ def _of_the_best(misfit: Array, worth: Array) -> Array:
     """Return the misfit of the likeliest hypothesis of each axis (..., 3), at least 1."""
     rows = (*worth.shape[:-2], len(KINDS), 3, len(RING))
     misfit, worth = misfit.reshape(rows), worth.reshape(rows)
-    best = worth == worth.max(axis=(-1, -3), keepdims=True)
-    return larger(where(best, misfit, -LOWEST).min(axis=(-1, -3)), 1.0)
+    best = worth == worth.max(axis=-3, keepdims=True).max(axis=-1, keepdims=True)
+    return larger(where(best, misfit, -LOWEST).min(axis=-3).min(axis=-1), 1.0)
 
 
 def by_effect(of_modes: Array) -> Array:
@@ -151,10 +167,15 @@ def by_effect(of_modes: Array) -> Array:
     return namespace(of_modes).concatenate(kinds[: EFFECTS // 3], axis=-2)
 
 
-def expected_change(state: Bank, posterior: Posterior, shares: Array) -> Array:
-    """Return the mean change of the motion's states (..., 3, 9) over hypotheses of some probabilities."""
+def expected_change(state: Bank, posterior: Posterior, shares: Array) -> tuple[Vector, Vector]:
+    """Return the mean change of angle [rad] and rate [rad/s] over hypotheses of some probabilities."""
     b = by_effect(posterior.b * shares[..., None, :, :])
-    return (state.U * b[..., None, None, :, :, :]).sum(axis=(-3, -2)).sum(axis=-1).swapaxes(-1, -2)
+    b = namespace(b).concatenate([b[..., 0, :, :], b[..., 1, :SLOPES, :]], axis=-2)[..., None, :, :]
+    changes = (state.U[..., part, :, :, :] * b for part in (THETA, OMEGA))
+    angle, rate = (
+        change.sum(axis=-2).sum(axis=-1) for change in changes
+    )  # slots last: loops over them are fast
+    return angle, rate
 
 
 def _solved(J: Array, d: Array, prior: Array) -> tuple[Array, Array, Array]:
@@ -177,7 +198,10 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
     expected: list[Array] = []
     for channel, modes in enumerate(TESTS):
         raw = state.doubt[..., channel, None, :, :]
-        J, d = (part[..., channel, :, :, modes, :].sum(axis=-3) * raw for part in (state.J, state.d))
+        J, d = (
+            _lines(part[..., channel, :, :, :], np.arange(EFFECTS)[modes]) * raw
+            for part in (state.J, state.d)
+        )
         _, b, covariance = _solved(J, d, PRIOR[modes])
         began = 1.0 * (state.age[..., modes, :] >= 0.0)
         found.append((began * (d * b).sum(axis=-3)) @ rings)

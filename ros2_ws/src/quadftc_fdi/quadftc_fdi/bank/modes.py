@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from quadftc_fdi.bank.noise import LONGER
 from quadftc_model.arrays import Scalar, Vector, column, exp
 
-# rows of the kinds; the first nine have an effect of their own
-ATTITUDE, GYRO, PUSH, RETURN, LATE, FELT, GYRO_RETURN, SCALED, STRETCHED = range(9)
+# rows of the kinds; the first nine have an effect of their own, five of these a slope
+ATTITUDE, GYRO, RETURN, FELT, GYRO_RETURN, PUSH, LATE, SCALED, STRETCHED = range(9)
 JUMP, LAG, STEADY, CREEP, RAMP, WILD = range(9, 15)
 
 
@@ -57,11 +57,11 @@ NONE = 1e-6  # 1; rounding: size or slope of what has none
 KINDS = (
     Kind(ATTITUDE, ATTITUDE, True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),
     Kind(GYRO, GYRO, True, GYRO_SIZE, GYRO_SIZE, FAULTS),
-    Kind(PUSH, PUSH, False, PUSH_SIZE, NONE, EVENTS),
     Kind(RETURN, RETURN, False, ATTITUDE_SIZE, ATTITUDE_SLOPE, EVENTS),  # of an attitude that was off before
-    Kind(LATE, ATTITUDE, True, LONGER, NONE, FAULTS),
     Kind(FELT, FELT, True, ATTITUDE_SIZE, ATTITUDE_SLOPE, FAULTS),  # of the accelerometer, as a tilt
     Kind(GYRO_RETURN, GYRO_RETURN, False, GYRO_SIZE, GYRO_SIZE, EVENTS),  # of a gyro that was off before
+    Kind(PUSH, PUSH, False, PUSH_SIZE, NONE, EVENTS),
+    Kind(LATE, ATTITUDE, True, LONGER, NONE, FAULTS),
     Kind(SCALED, GYRO, True, WRONG_SCALE, NONE, FAULTS),
     Kind(STRETCHED, ATTITUDE, True, WRONG_SCALE, NONE, FAULTS),
     Kind(ATTITUDE, JUMP, False, JUMP_SIZE, NONE, EVENTS),
@@ -73,6 +73,10 @@ KINDS = (
 )
 MODES = 3 * len(KINDS)
 EFFECTS = 27  # modes with an effect of their own; the other kinds have that of another, `Kind.effect`
+SLOPES = 15  # of these, modes with a slope
+# effects of sizes, then slopes; and of products: squares of sizes, sizes by slopes, squares of slopes
+COLUMN = np.concatenate([np.arange(EFFECTS), np.arange(SLOPES)])
+PRODUCT = np.concatenate([COLUMN, np.arange(SLOPES)])
 AXIS = np.tile(np.arange(3), len(KINDS))
 KIND = np.repeat(np.arange(len(KINDS)), 3)
 NAME = np.array([kind.name for kind in KINDS])[KIND]

@@ -115,9 +115,13 @@ def take_over(
     )
     lags = np.equal(states, LAG) * modes.pattern(modes.LATE)
     moves = of_gyro + column(column(column(usual))) * (jumps + lags)
-    changed = bank.U + moves[..., None, :, None] * hypotheses.shape_of(bank)[..., None, None, :, :, :]
-    picked = (changed * effect[..., None, None, None, :, :]).sum(axis=(-1, -2))
-    U = xp.moveaxis(picked, -3, -1)  # (..., 3, 2, 9)
+    changed = bank.U + moves[..., modes.COLUMN, None] * hypotheses.shape_of(bank)[..., None, None, :, :]
+    picked = (changed * effect[..., None, None, modes.COLUMN, :]).sum(axis=-1)
+    by_size, by_slope = (
+        picked[..., part].sum(axis=-1).swapaxes(-1, -2)
+        for part in (slice(modes.EFFECTS), slice(modes.EFFECTS, None))
+    )
+    U = xp.stack([by_size, by_slope], axis=-2)  # (..., 3, 2, 9)
     b = xp.stack([of(posterior.b[..., k, :, :]) for k in range(2)], axis=-1)
     first, mixed, last = (of(posterior.covariance[..., k, :, :]) for k in range(3))
     spread = xp.stack([xp.stack([first, mixed], axis=-1), xp.stack([mixed, last], axis=-1)], axis=-2)

@@ -212,8 +212,8 @@ class BankObserver(FlightLaw):
             failed=where(failing, trust.AGREES, larger(state.failed - dt, 0.0)),
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
-        shift = inference.expected_change(bank, posterior, shares * ~is_sure[..., None, None])
-        flown = motion.moved_by(believed, shift)
+        angle, change = inference.expected_change(bank, posterior, shares * ~is_sure[..., None, None])
+        flown = turn(believed.q_xyzw, angle), believed.rate + change
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         by_motion = (
             Seen(off, spread, decide.said_of(modes.ATTITUDE, p), column(there)),
@@ -367,9 +367,15 @@ class BankObserver(FlightLaw):
         return posterior, shares, p, named
 
     def _said(
-        self, state: State, inputs: FaultObserverInputs, flown: Motion, attitude: Seen, gyro: Seen, dt: float
+        self,
+        state: State,
+        inputs: FaultObserverInputs,
+        flown: tuple[Quaternion, Vector],
+        attitude: Seen,
+        gyro: Seen,
+        dt: float,
     ) -> tuple[State, FaultEstimate]:
-        """Judge the accelerometer, and say what is believed of a sample."""
+        """Judge the accelerometer, and say what is believed of a sample: ``flown`` are attitude and rate."""
         imu, judged = inputs.imu, not self.attitude_from_gyro
         unsure = column(gyro.mine.sum(axis=-1) + judged * attitude.mine.sum(axis=-1) > self.level)
         few = 1.0 - self.level
@@ -378,12 +384,12 @@ class BankObserver(FlightLaw):
         doubtful = (by_attitude.onset_age >= 0.0) | (by_gyro.onset_age >= 0.0)
         knows = self.feels_gravity or state.translation.flight is not None
         beside = translation.judge_accelerometer(
-            state.translation, self.vehicle, self.motion_law, inputs, flown.q_xyzw, doubtful, knows, dt
+            state.translation, self.vehicle, self.motion_law, inputs, flown[0], doubtful, knows, dt
         )
         by_accelerometer, rotors = translation.say(beside, state.force, imu.force_valid)
         corrected = imu._replace(
-            q_xyzw=flown.q_xyzw,
-            body_rate=flown.rate,
+            q_xyzw=flown[0],
+            body_rate=flown[1],
             attitude_valid=imu.attitude_valid | True,
             rate_valid=imu.rate_valid | True,
         )
