@@ -30,7 +30,7 @@ ON = TIME >= ONSET
 STIFF, DAMPED = 60.0, 12.0  # 1/s², 1/s; of the controller
 SENSORS = ("attitude", "gyro")
 QBALL = load_vehicle("qball_x4")
-OFFSET, STUCK, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "absent"))
+OFFSET, STUCK, NOISE, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "noise", "absent"))
 
 
 @functools.cache
@@ -108,6 +108,28 @@ def test_a_small_jump_of_the_attitude_and_back_accuses_nobody():
 def test_vibration_that_comes_and_goes_accuses_nobody():
     loud = 0.03 * np.random.default_rng(5).standard_normal((ROWS, 3)) * (ON & (TIME < ONSET + 2.0))[:, None]
     assert alarms(said_of(with_fault("gyro", loud)))[0] == set()
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_an_axis_of_the_gyro_that_alone_scatters_is_noisy_until_it_is_quiet(axis):
+    """Vibration is shared by the axes. The gyro is still weighed: what is flown stays near the truth."""
+    loud = 0.05 * np.random.default_rng(6).standard_normal((ROWS, 1)) * (ON & (TIME < ONSET + 2.0))[:, None]
+    said = said_of(with_fault("gyro", loud * np.eye(3)[axis]))
+    assert alarms(said)[0] == {("gyro", axis)}
+    gyro = said["gyro"]
+    named = np.isin(gyro.state[:, axis], ALARMS)
+    assert not named[TIME < ONSET].any()
+    assert named[(TIME > ONSET + 1.0) & (TIME < ONSET + 2.0)].all()
+    assert not named[TIME > ONSET + 3.0].any()
+    assert set(gyro.kind[named, axis]) == {NOISE}
+    onset = (TIME - gyro.onset_age[:, axis])[named]
+    assert np.max(abs(onset - ONSET)) < 0.2
+
+
+@pytest.mark.parametrize("quiet", range(3))
+def test_two_axes_that_scatter_alike_may_be_vibration(quiet):
+    loud = 0.05 * np.random.default_rng(6).standard_normal((ROWS, 3)) * (ON & (TIME < ONSET + 2.0))[:, None]
+    assert alarms(said_of(with_fault("gyro", loud * (1.0 - np.eye(3)[quiet]))))[0] == set()
 
 
 @pytest.mark.parametrize("is_late", [False, True])

@@ -9,7 +9,7 @@ import numpy as np
 from quadftc_fdi.bank import modes, noise, readings
 from quadftc_fdi.bank.inference import Posterior
 from quadftc_fdi.bank.readings import Readings
-from quadftc_fdi.bank.trust import Trust
+from quadftc_fdi.bank.trust import Scatter, Trust
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Array,
@@ -26,7 +26,7 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.samples import FAULT_KINDS, SensorEstimate
 
-OFFSET, STUCK, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "absent"))
+OFFSET, STUCK, NOISE, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "noise", "absent"))
 
 
 class Seen(NamedTuple):
@@ -95,21 +95,25 @@ def said_of(sensor: int, of_modes: Array) -> Vector:
     return of_modes[..., sensor == modes.NAME].reshape(*of_modes.shape[:-1], -1, 3).sum(axis=-2)
 
 
-def judge(state: Trust, read: Readings, seen: Seen, unsure: Flag, few: float) -> SensorEstimate:
+def judge(
+    state: Trust, read: Readings, scatter: Scatter, seen: Seen, unsure: Flag, few: float
+) -> SensorEstimate:
     """Say what is believed of a sensor; ``unsure``: one of several has a fault.
 
     It is ambiguous with a probability above ``few`` for it.
     """
     xp = namespace(seen.off)
     stuck, absent = readings.is_stuck(read), readings.is_absent(read)
-    certain: Mask = state.faulty | stuck | absent
+    certain: Mask = state.faulty | stuck | absent | scatter.noisy
     ambiguous = unsure & (seen.mine > few) & ~certain
     declared = certain | ambiguous
     suspect = where(seen.mine > 0.5, samples.SUSPECT, samples.HEALTHY)
     suspect = where(readings.was_there(read), suspect, samples.STARTING)
     faulty = where(state.calm > 0.0, samples.RECOVERING, samples.FAULTY)
-    kind = where(absent, ABSENT, where(stuck, STUCK, OFFSET))
-    age = where(state.faulty, state.age, where(stuck | absent, read.silence, 0.0))
+    kind = where(absent, ABSENT, where(stuck, STUCK, where(scatter.noisy & ~state.faulty, NOISE, OFFSET)))
+    age = where(
+        state.faulty, state.age, where(stuck | absent, read.silence, where(scatter.noisy, scatter.age, 0.0))
+    )
     return SensorEstimate(
         where(declared, faulty, suspect).astype(xp.uint8),
         where(state.faulty & ~seen.there, state.size, where(declared & ~absent, seen.off, 0.0)),

@@ -47,7 +47,7 @@ from quadftc_fdi.bank.modes import (
     STRETCHED,
     WILD,
 )
-from quadftc_fdi.bank.motion import OMEGA, THETA
+from quadftc_fdi.bank.motion import CORRELATED, OMEGA, THETA
 from quadftc_fdi.bank.noise import MEMORY, SMALL
 from quadftc_model.arrays import (
     Array,
@@ -65,7 +65,7 @@ from quadftc_model.arrays import (
     where,
 )
 
-SETTLE = 1.0  # s; chosen: for how long learned tempers count less than that
+SETTLE = CORRELATED  # s; for how long learned tempers count less than that
 CLIP = 3.0  # 1; chosen: most that a sample says, over what was learned
 CERTAIN = 50.0  # 1; rounding: log of odds
 WILDS = slice(3 * WILD, None)  # modes

@@ -15,7 +15,7 @@ from quadftc_fdi.bank.motion import Gains, Motion
 from quadftc_fdi.bank.noise import Learning, Noise
 from quadftc_fdi.bank.readings import Readings
 from quadftc_fdi.bank.translation import Translation
-from quadftc_fdi.bank.trust import Trust
+from quadftc_fdi.bank.trust import Scatter, Trust
 from quadftc_fdi.fault_observer import LastDiagnosis, register, without_fault
 from quadftc_fdi.isolation.flight_law import FlightLaw
 from quadftc_model import samples
@@ -61,6 +61,7 @@ class State(NamedTuple):
     attitude: Trust
     gyro: Trust
     force: Trust  # of the accelerometer, by the tilt that it shows
+    scatter: Scatter
     angles_read: Readings  # of the attitude [rad]
     rates_read: Readings  # of the gyro [rad/s]
     worth: Array  # log weight of the hypotheses (..., modes, slots)
@@ -101,6 +102,7 @@ class BankObserver(FlightLaw):
         learning = noise.start_learning(imu.q_xyzw, imu.body_rate)
         started = motion.start_motion(imu.q_xyzw, imu.body_rate, noise.noise_of(learning))
         bank, full = hypotheses.start_bank(imu.body_rate), trust.full_trust(imu.body_rate)
+        zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
         angles_read = readings.start_readings(euler_from_quaternion(imu.q_xyzw))
         rates_read = readings.start_readings(imu.body_rate)
         return State(
@@ -111,18 +113,19 @@ class BankObserver(FlightLaw):
             attitude=full,
             gyro=full,
             force=full,
+            scatter=trust.no_scatter(imu.body_rate),
             angles_read=angles_read,
             rates_read=rates_read,
             worth=bank.age[..., modes.EFFECT, :] + hypotheses.LOWEST,
             rate=imu.body_rate,
             q_xyzw=imu.q_xyzw,
-            lead=namespace(imu.body_rate).zeros_like(imu.body_rate),
+            lead=zeros,
             reckoned=euler_from_quaternion(imu.q_xyzw),
             torque=inputs.torque,
             translation=translation.start_translation(
                 self.vehicle, self.motion_law, self.rotor_effects, inputs
             ),
-            failed=namespace(imu.body_rate).zeros_like(imu.body_rate),
+            failed=zeros,
         )
 
     def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> State:
@@ -187,7 +190,9 @@ class BankObserver(FlightLaw):
         believed = motion.untaught(believed, gyro.faulty)
         # learn
         turned = turn(state.q_xyzw, 0.5 * (read + state.rate) * column(dt))
-        well = good_gyro & ~gyro.faulty, good_attitude & ~attitude.faulty
+        louder = noise.louder(state.learning)
+        scatter = trust.watch_scatter(state.scatter, louder, inputs.driven, 1.0 - self.level, dt)
+        well = good_gyro & ~(gyro.faulty | scatter.noisy), good_attitude & ~attitude.faulty
         learning = noise.learn(
             state.learning, read, state.rate, known, imu.q_xyzw, state.q_xyzw, *well, good_gyro, dt
         )
@@ -200,6 +205,7 @@ class BankObserver(FlightLaw):
             attitude=attitude,
             gyro=gyro,
             force=force,
+            scatter=scatter,
             angles_read=attitude_read,
             rates_read=gyro_read,
             worth=posterior.log_weight,
@@ -379,8 +385,9 @@ class BankObserver(FlightLaw):
         imu, judged = inputs.imu, not self.attitude_from_gyro
         unsure = column(gyro.mine.sum(axis=-1) + judged * attitude.mine.sum(axis=-1) > self.level)
         few = 1.0 - self.level
-        by_attitude = decide.judge(state.attitude, state.angles_read, attitude, unsure & judged, few)
-        by_gyro = decide.judge(state.gyro, state.rates_read, gyro, unsure, few)
+        even = trust.no_scatter(imu.body_rate)
+        by_attitude = decide.judge(state.attitude, state.angles_read, even, attitude, unsure & judged, few)
+        by_gyro = decide.judge(state.gyro, state.rates_read, state.scatter, gyro, unsure, few)
         doubtful = (by_attitude.onset_age >= 0.0) | (by_gyro.onset_age >= 0.0)
         knows = self.feels_gravity or state.translation.flight is not None
         beside = translation.judge_accelerometer(
