@@ -164,17 +164,18 @@ def _likeliest(state: Bank, worth: Array, channel: int, failing: Flag) -> tuple[
 
 def _returning(part: Array, best: list[Array]) -> Array:
     """Return what is known of the ``best`` faults (..., 3, slots), in rows of returns; zeros in others."""
-    xp, rows = namespace(part), [part[..., k : k + 3, :] for k in range(0, part.shape[-2], 3)]
-    chosen = {kind: (TESTS[channel].start // 3, best[k]) for k, (kind, channel) in enumerate(RETURNS)}
-    none = xp.zeros_like(rows[0][..., :1])
-    known = [none] * len(rows)
-    for row, kind in enumerate(PRODUCT[: part.shape[-2] : 3] // 3):
-        if kind in chosen:
-            ended, likely = chosen[kind]
-            known[row] = (rows[row - kind + ended] * likely[..., None, None, :, :]).sum(
-                axis=-1, keepdims=True
-            )
-    return xp.concatenate(known, axis=-2)
+    xp, rows = namespace(part), list[Array]()
+    ended = {kind: (TESTS[channel].start, best[k]) for k, (kind, channel) in enumerate(RETURNS)}
+    for row in range(0, part.shape[-2], 3):
+        kind = PRODUCT[row] // 3
+        known = xp.zeros_like(part[..., :3, :1])
+        if kind in ended:
+            fault, likely = ended[kind]
+            first = row - 3 * kind + fault
+            chosen = part[..., first : first + 3, :] * likely[..., None, None, :, :]
+            known = chosen.sum(axis=-1, keepdims=True)
+        rows.append(known)
+    return xp.concatenate(rows, axis=-2)
 
 
 def disregard(state: Bank, attitude: Mask, gyro: Mask, untold: Mask) -> Bank:

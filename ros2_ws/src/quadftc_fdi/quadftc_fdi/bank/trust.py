@@ -59,7 +59,7 @@ SOON = 0.05  # s; chosen: for which an attitude must agree after a jump back
 SEEN = 12.0  # 1; derived: log-likelihood of a jump back, by 99 % and a prior of 1e-3 a sample
 AVERAGE = 0.02  # s; chosen: over which sizes of attitude faults are averaged
 NEAR = 4.0  # 1; chosen: square of a gyro's bias over its variance that is as before: two sigma
-ALONE = 0.4  # 1; measured: rms of `Scatter.alone` in the least even of 24 healthy recordings
+ALONE = 0.4  # 1; measured: rms of `Scatter.alone` in the least even of 24 healthy real recordings
 SPREAD = 1.2  # 1; chosen: variance of a faulty attitude about its size, over its noise
 
 
