@@ -494,6 +494,25 @@ def test_a_gyro_whose_attitude_is_not_good_is_less_likely_to_be_blamed():
     assert not less[~own[:, None] & began].any()
 
 
+def test_without_a_torque_there_is_no_push():
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    by_hand = inference.believe(bank, THERE, THERE, np.False_, NONE, RARER).log_weight
+    told = (by_hand > hypotheses.LOWEST).any(axis=-1)
+    needs_torque = (modes.PUSH, modes.SCALED, modes.STRETCHED, modes.WILD)
+    assert np.array_equal(told, ~np.isin(modes.KIND, (*RETURNS, *needs_torque)))
+
+
+@pytest.mark.parametrize("gyro_fails", [True, False])
+def test_without_a_torque_an_attitude_that_is_good_tells_a_gyro_and_nothing_else_does(gyro_fails):
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    held = np.array([True, False, True])
+    weight = inference.believe(bank, held, held, np.False_, NONE, RARER, gyro_fails).log_weight
+    told = (weight > hypotheses.LOWEST).any(axis=-1)
+    steps = modes.KIND == modes.GYRO
+    assert told[steps].tolist() == (held & gyro_fails).tolist()
+    assert told[modes.KIND == modes.ATTITUDE].all()
+
+
 def test_no_attitude_is_early():
     bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
     J, d = (np.zeros_like(part) for part in (bank.J, bank.d))

@@ -35,7 +35,7 @@ class Learner:
         good = inputs.good & (namespace(inputs.gyro).zeros_like(inputs.gyro) < 1.0)
         pairs = inputs.gyro, last.gyro, inputs.known, inputs.q_xyzw, last.q_xyzw
         learning = noise.learn(learning, *pairs, good, good, good, dt)
-        return (learning, inputs), noise.noise_of(learning)
+        return (learning, inputs), noise.noise_of(learning, np.True_, dt)
 
 
 def readings(dt, gyro, unknown, attitude, wander):
@@ -121,3 +121,15 @@ def test_vibration_that_comes_is_heard_at_once():
     found = np.sqrt(fly_arrays(Learner(), seen._replace(gyro=seen.gyro + loud), 0.004)[1].gyro)
     assert np.all(found[begins - 1] < 0.005)
     assert np.all(found[-1] > 0.015)
+
+
+def test_without_a_torque_what_moves_the_vehicle_is_little_noise_of_the_gyro():
+    dt = 0.004
+    seen = readings(dt, gyro=0.003, unknown=200.0, attitude=0.1 * DEG, wander=0.0)
+    told = rows_of(seen, (slice(None), 0))._replace(known=0.0 * seen.known[:, 0])
+    state, good = noise.start_learning(told.q_xyzw[0], told.gyro[0]), np.ones(3, bool)
+    for k in range(1, 2500):
+        pairs = told.gyro[k], told.gyro[k - 1], told.known[k], told.q_xyzw[k], told.q_xyzw[k - 1]
+        state = noise.learn(state, *pairs, good, good, good, dt)
+    driven, free = (noise.noise_of(state, np.bool_(driven), dt).gyro for driven in (True, False))
+    assert np.all((free < driven / 16.0) & (free > 0.003**2))

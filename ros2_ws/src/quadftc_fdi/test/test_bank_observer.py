@@ -164,7 +164,8 @@ def test_of_a_sensor_that_is_beyond_doubt_the_likeliest_mode_is_believed():
     step, wild = 3 * modes.GYRO, 3 * modes.WILD
     p[step], p[wild], doubt[step], doubt[wild] = few, 1.0 - few, few, few
     witnesses = np.zeros(3, bool), np.ones(3, bool), np.ones(1, bool)
-    named = decide.named_mode(p, doubt, p, *witnesses, few=0.01, repeats_gyro=False)
+    given = decide.Probabilities(np.zeros(0), p, doubt, np.log(np.maximum(p, 1e-9)), p)
+    named = decide.named_mode(given, p, *witnesses, few=0.01, repeats_gyro=False)
     assert np.flatnonzero(named).tolist() == [wild]
 
 

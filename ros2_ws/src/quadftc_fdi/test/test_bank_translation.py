@@ -43,7 +43,7 @@ def asked(state):
     bank = bank._replace(age=bank.age * 0.0 + AGE)
     b = np.zeros((2, *SHAPE))
     b[1, OF_ROLL] = SLOPE
-    posterior = inference.Posterior(np.zeros(SHAPE), b, np.zeros((3, *SHAPE)), np.zeros(3))
+    posterior = inference.Posterior(np.zeros(SHAPE), b, np.zeros((3, *SHAPE)), np.zeros(3), np.ones(3))
     after, where = translation.ask_position(state, bank, posterior)
     return after.log_weight, where
 

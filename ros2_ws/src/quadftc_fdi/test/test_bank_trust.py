@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from quadftc_fdi.bank import trust
-from quadftc_fdi.bank.motion import BETA, STATES, Motion, start_motion
+from quadftc_fdi.bank.motion import BETA, STATES, WALK, Motion, start_motion
 from quadftc_fdi.bank.noise import noise_of, start_learning
 from quadftc_fdi.bank.readings import BACK
 from quadftc_fdi.bank.trust import Trust
@@ -24,7 +24,7 @@ Fault = Callable[[float, float, float], float]  # of angle, rate, acceleration
 
 def moving(angle: float, rate: float, bias: float = 0.0) -> Motion:
     level = quaternion_from_euler(NONE)
-    started = start_motion(level, NONE, noise_of(start_learning(level, NONE)))
+    started = start_motion(level, NONE, noise_of(start_learning(level, NONE), np.True_, 0.0))
     P = np.zeros((3, STATES, STATES))
     P[..., BETA, BETA] = SPREAD**2
     angles, rates, biases = (np.array([0.0, value, 0.0]) for value in (angle, rate, bias))
@@ -80,3 +80,15 @@ def test_noise_is_over_when_it_is_gone() -> None:
     state = watched(trust.full_trust(NONE), "gyro", lambda *_: noise.normal(0.0, 0.1), 0.0, 6.0, MOVES)
     assert state.faulty.tolist() == NAMED.tolist()
     assert not watched(state, "gyro", lambda *_: 0.0, 6.0, 2 * BACK, 0.0).faulty.any()
+
+
+def test_a_gyro_that_was_blamed_for_the_attitude_has_the_bias_that_it_had() -> None:
+    """Without a torque nothing has told it meanwhile: what the bias became is the attitude's error."""
+    blamed = trust.full_trust(NONE)._replace(faulty=NAMED, other=NONE + 0.01, age=NONE + 4.0)
+    motion = moving(0.0, 0.0, bias=0.2)
+    after = trust.as_before(motion._replace(covariance=motion.covariance + SPREAD), blamed, NAMED)
+    assert after.bias.tolist() == [0.0, 0.01, 0.0]
+    P = after.covariance[1]
+    assert P[BETA, BETA] == pytest.approx(4.0 * WALK**2)
+    assert not np.delete(P[BETA], BETA).any()
+    np.testing.assert_array_equal(after.covariance[0], motion.covariance[0] + SPREAD)

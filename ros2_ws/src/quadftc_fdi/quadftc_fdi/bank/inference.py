@@ -33,6 +33,7 @@ from quadftc_fdi.bank.modes import (
     EFFECT,
     EFFECTS,
     GYRO,
+    GYRO_RETURN,
     IS_FAULT,
     KIND,
     KINDS,
@@ -69,6 +70,7 @@ SETTLE = CORRELATED  # s; for how long learned tempers count less than that
 CLIP = 3.0  # 1; chosen: most that a sample says, over what was learned
 CERTAIN = 50.0  # 1; rounding: log of odds
 WILDS = slice(3 * WILD, None)  # modes
+OF_GYROS = (NAME == GYRO) | (NAME == GYRO_RETURN)
 
 
 class Posterior(NamedTuple):
@@ -78,18 +80,26 @@ class Posterior(NamedTuple):
     b: Array  # size and slope (..., 2, modes, slots)
     covariance: Array  # size by size, size by slope, slope by slope (..., 3, modes, slots)
     vibration: Array  # probability that a gyro which scatters vibrates, on each axis (..., 3)
+    misfit: Array  # of the likeliest hypothesis of each axis (..., 3)
 
 
 def believe(
-    state: Bank, good_attitude: Mask, held: Mask, driven: Flag, failing: Flag, rarer: float
+    state: Bank,
+    good_attitude: Mask,
+    held: Mask,
+    driven: Flag,
+    failing: Flag,
+    rarer: float,
+    gyro_fails: bool = True,
 ) -> Posterior:
     """Return the posterior of size and slope, and the weight of mode and onset.
 
     A wild gyro, or a wrong scale, is a hypothesis where the attitude is good (..., 3) and the torque is
-    known: either alone does not tell them from motion or from a jump. Where neither a good attitude nor
-    gravity has ``held`` the angle (..., 3), a fault of the gyro is ``rarer``, by a log of odds. Where a
-    sensor is ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next fault is no
-    rarer than what is none.
+    known: either alone does not tell them from motion or from a jump. Without a torque there is no push: any
+    acceleration is usual. Where neither a good attitude nor gravity has ``held`` the angle (..., 3), a fault
+    of the gyro is ``rarer``, by a log of odds; without a torque nothing tells it. Where a sensor is
+    ``failing`` (..., 3), as `modes.SENSOR` counts them, or was a moment ago, its next fault is no rarer than
+    what is none. Gyros have no faults unless ``gyro_fails``.
     """
     xp, square, count = namespace(state.age), state.square, state.count  # (..., 2, axes, slots)
     J, d = (_lines(part, EFFECT) for part in (state.J, state.d))
@@ -105,7 +115,9 @@ def believe(
     square, count = (square[..., AXIS, :] * shares).sum(axis=-3), count.sum(axis=-3)[..., AXIS, :]
     joint_J, joint_d = ((part * shares[..., None, :, :]).sum(axis=-4) for part in (J, d))
     both = (good_attitude & column(driven))[..., AXIS]
-    told, age = both | ~np.isin(KIND, (WILD, SCALED, STRETCHED)), state.age[..., EFFECT, :]
+    told = (both | ~np.isin(KIND, (WILD, SCALED, STRETCHED))) & (column(driven) | (KIND != PUSH))
+    told = told & ((gyro_fails & (held[..., AXIS] | column(driven))) | ~OF_GYROS)
+    age = state.age[..., EFFECT, :]
     began = (age >= 0.0) & told[..., None]
     prior = USUAL + where(failing[..., SENSOR] & IS_FAULT, MORE, 0.0)[..., None]
     prior = prior + where((NAME == GYRO) & ~held[..., AXIS], rarer, 0.0)[..., None]
@@ -123,7 +135,21 @@ def believe(
     weight = where(began, evidence + by_scatter / of_modes[..., 0, :, :] + prior, LOWEST)
     innocent = _scattering(heard, number, louder) / doubt[..., None] + USUAL[3 * PUSH : 3 * PUSH + 3]
     more = weight[..., WILDS, :].max(axis=-1) - innocent.max(axis=-1)
-    return Posterior(weight, b, covariance, 1.0 / (1.0 + exp(clip(more, -CERTAIN, CERTAIN))))
+    return Posterior(weight, b, covariance, 1.0 / (1.0 + exp(clip(more, -CERTAIN, CERTAIN))), doubt)
+
+
+def explained_by_axis(state: Bank, posterior: Posterior) -> Array:
+    """Return the log-likelihood that the likeliest onset of each mode adds to each axis (..., 3, modes)."""
+    xp, weight = namespace(state.age), posterior.log_weight
+    best = 1.0 * (weight == weight.max(axis=-1, keepdims=True))
+    best = best / best.sum(axis=-1, keepdims=True)
+    J, d = (part.sum(axis=-4) for part in (state.J, state.d))  # (..., axes, products or columns, slots)
+    by_axis = [
+        _explained(_rows(J[..., k, :, :], EFFECT), _rows(d[..., k, :, :], EFFECT), posterior.b)
+        for k in range(3)
+    ]
+    explained = (xp.stack(by_axis, axis=-3) * best[..., None, :, :]).sum(axis=-1)
+    return 0.5 * explained / posterior.misfit[..., None, AXIS]
 
 
 def _lines(part: Array, effects: NDArray[np.intp]) -> Array:
@@ -131,10 +157,14 @@ def _lines(part: Array, effects: NDArray[np.intp]) -> Array:
 
     What has no slope has zeros there.
     """
-    xp, total = namespace(part), part.sum(axis=-3)
-    rows = total.shape[-2]
+    return _rows(part.sum(axis=-3), effects)
+
+
+def _rows(part: Array, effects: NDArray[np.intp]) -> Array:
+    """Return sizes, then slopes, of some effects (..., 3 or 2, effects, slots)."""
+    rows = part.shape[-2]
     slopes = [np.where(effects < SLOPES, effects + k, rows) for k in range(EFFECTS, rows, SLOPES)]
-    padded = xp.concatenate([total, xp.zeros_like(total[..., :1, :])], axis=-2)
+    padded = namespace(part).concatenate([part, 0.0 * part[..., :1, :]], axis=-2)
     return padded[..., np.stack([effects, *slopes]), :]
 
 

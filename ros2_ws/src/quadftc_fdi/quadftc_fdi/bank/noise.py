@@ -213,8 +213,12 @@ def _bent(state: Bend, moved: Vector, good: Mask, time: Vector, dt: Scalar) -> B
     )
 
 
-def noise_of(state: Learning) -> Noise:
-    """Return the variances that explain both lags."""
+def noise_of(state: Learning, driven: Flag, dt: Scalar) -> Noise:
+    """Return the variances that explain both lags.
+
+    Unless the vehicle is ``driven`` by a torque that is known, motion moves the gyro as noise does. But white
+    noise makes the angle wander: there is no more of it than the attitude wanders from the gyro.
+    """
     gyro, attitude = state.gyro, state.attitude
     total, still = larger(gyro.near, state.bend.square) / 6.0 + SMALL, attitude.near / 2.0
     rho = clip(2.0 - sqrt(1.0 + 0.5 * gyro.near / total), 0.0, COLOURED)
@@ -224,7 +228,8 @@ def noise_of(state: Learning) -> Noise:
     of_mean = 2.0 * still * column(state.few)
     doubt = 2.0 * of_mean * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
     wander = larger(3.0 / 2.0 * (attitude.far - of_mean - doubt) / attitude.lag, LEAST_WANDER**2)
-    return Noise(white, unknown, still, wander)
+    most = 3.0 / 2.0 * attitude.far / attitude.lag / column(larger(dt, SMALL))
+    return Noise(where(column(driven), white, smaller(white, most)), unknown, still, wander)
 
 
 def louder(state: Learning) -> Vector:

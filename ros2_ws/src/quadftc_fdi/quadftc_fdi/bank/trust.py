@@ -28,6 +28,7 @@ from quadftc_fdi.bank.motion import (
     OMEGA,
     STATES,
     THETA,
+    WALK,
     D,
     Motion,
     moved_by,
@@ -112,13 +113,14 @@ def take_over(
     """
     xp = namespace(posterior.log_weight)
     own = where(mode[..., None], posterior.log_weight, 2.0 * hypotheses.LOWEST)
-    pick = mode[..., None] & (own == own.max(axis=(-1, -2), keepdims=True))
+    pick = 1.0 * (mode[..., None] & (own == own.max(axis=(-1, -2), keepdims=True)))
+    pick = pick / larger(pick.sum(axis=(-1, -2), keepdims=True), 1.0)  # onsets may be alike
 
     def of(part: Array) -> Array:
-        return where(pick, part, 0.0).sum(axis=(-1, -2))
+        return (pick * part).sum(axis=(-1, -2))
 
     # what a faulty gyro reads too much is its bias from now on; an attitude that jumped, or lags, is usual
-    effect = inference.by_effect(1.0 * pick)
+    effect = inference.by_effect(pick)
     usual = 1.0 * (mode & ~modes.IS_FAULT).any(axis=-1)
     states = np.arange(STATES)[:, None, None]
     gyro = modes.pattern(modes.GYRO) + column(motion.rate + motion.bias) * modes.pattern(modes.SCALED)
@@ -252,6 +254,14 @@ def _fitted(
 def _kept(faulty: Mask, sums: Array, *parts: Vector) -> Trust:
     age, size, other, evidence, calm = (where(faulty, part, 0.0) for part in parts)
     return Trust(faulty, age, size, other, evidence, calm, where(column(faulty), sums, 0.0))
+
+
+def as_before(motion: Motion, gyro: Trust, axes: Mask) -> Motion:
+    """Return a motion with the bias that gyros (..., 3) had before a fault that was none."""
+    own = np.arange(STATES) == BETA
+    walked = (WALK**2 * gyro.age)[..., None, None] * np.diag(1.0 * own)
+    P = where(column(column(axes)) & (own | own[:, None]), walked, motion.covariance)
+    return motion._replace(bias=where(axes, gyro.other, motion.bias), covariance=P)
 
 
 def any_faulty(*sensors: Trust) -> Mask:

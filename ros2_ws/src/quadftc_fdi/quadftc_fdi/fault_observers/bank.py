@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from quadftc_fdi.bank import decide, hypotheses, inference, modes, motion, noise, readings, translation, trust
-from quadftc_fdi.bank.decide import Seen
+from quadftc_fdi.bank.decide import Probabilities, Seen
 from quadftc_fdi.bank.hypotheses import OF_ATTITUDE, OF_GYRO, Bank
 from quadftc_fdi.bank.inference import Posterior
 from quadftc_fdi.bank.motion import Gains, Motion
@@ -94,13 +96,14 @@ class BankObserver(FlightLaw):
     level: float = parameter(0.997, low=0.5, high=1.0, doc="probability from which a fault is named")
     rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
+    gyro_fails: bool = parameter(True, doc="false: what attitude and gyro do not share is the attitude's")
     feels_gravity: bool = parameter(True, doc="the accelerometer, without a position: on a test stand")
 
     def init(self, inputs: FaultObserverInputs) -> State:
         """Start at a sample."""
         imu = inputs.imu
         learning = noise.start_learning(imu.q_xyzw, imu.body_rate)
-        started = motion.start_motion(imu.q_xyzw, imu.body_rate, noise.noise_of(learning))
+        started = motion.start_motion(imu.q_xyzw, imu.body_rate, noise.noise_of(learning, inputs.driven, 0.0))
         bank, full = hypotheses.start_bank(imu.body_rate), trust.full_trust(imu.body_rate)
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
         angles_read = readings.start_readings(euler_from_quaternion(imu.q_xyzw))
@@ -145,7 +148,7 @@ class BankObserver(FlightLaw):
 
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to a sample."""
-        imu, levels = inputs.imu, noise.noise_of(state.learning)
+        imu, levels = inputs.imu, noise.noise_of(state.learning, inputs.driven, dt)
         attitude_read, gyro_read = self._read(state, imu, dt)
         alone = ~readings.is_witness(attitude_read)
         speaks = ~alone & ~state.attitude.faulty, readings.is_witness(gyro_read)
@@ -158,9 +161,13 @@ class BankObserver(FlightLaw):
         seen = self._measure(state, imu, moved, without, levels, good, inputs.driven, dt)
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
         untold = state.gyro.faulty | (state.failed[..., :1] > 0.0)
-        bank, off = hypotheses.disregard(seen.bank, *stuck, untold), seen.off
-        posterior, shares, p, named = self._infer(state, bank, beside, speaks, seen.tilt, inputs.driven)
-        is_sure = named.any(axis=-1)
+        bank, off, spread = (
+            hypotheses.disregard(seen.bank, *stuck, untold),
+            seen.off,
+            seen.by_attitude.variance,
+        )
+        posterior, given, named = self._infer(state, bank, beside, speaks, seen.tilt, inputs.driven)
+        p, is_sure, there = given.of_modes, named.any(axis=-1), imu.attitude_valid
         believed, bank, age = branch(
             is_sure,
             lambda: trust.take_over(seen.motion, bank, posterior, named, seen.added, alone, inputs.driven),
@@ -179,9 +186,12 @@ class BankObserver(FlightLaw):
         cleared = gyro & state.attitude.faulty, attitude & state.gyro.faulty
         before = trust.acquitted(state.attitude, cleared[0]), trust.acquitted(state.gyro, cleared[1])
         angle = where(cleared[0] | gyro, trust.off_square(off, imu, believed, good_attitude), 0.0)
+        # no torque tells what the bias is meanwhile
+        believed = trust.as_before(believed, state.gyro, cleared[1] & ~column(inputs.driven))
         believed = trust.doubted(believed, angle, gyro, named)
-        spread, white, there = seen.by_attitude.variance, levels.attitude, imu.attitude_valid
-        attitude = trust.watch_attitude(before[0], attitude, age, off, spread, white, there, believed, dt)
+        attitude = trust.watch_attitude(
+            before[0], attitude, age, off, spread, levels.attitude, there, believed, dt
+        )
         beside = translation.follow_fault(beside, off, attitude, before[0].faulty, stuck[0], dt)
         force = self._watch_force(state, seen.tilt, named, age, imu.force_valid, believed, dt)
         gyro = trust.watch_gyro(
@@ -218,14 +228,16 @@ class BankObserver(FlightLaw):
             failed=where(failing, trust.AGREES, larger(state.failed - dt, 0.0)),
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
-        angle, change = inference.expected_change(bank, posterior, shares * ~is_sure[..., None, None])
+        angle, change = inference.expected_change(
+            bank, posterior, given.of_onsets * ~is_sure[..., None, None]
+        )
         flown = turn(believed.q_xyzw, angle), believed.rate + change
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         by_motion = (
             Seen(off, spread, decide.said_of(modes.ATTITUDE, p), column(there)),
             Seen(gyro.size, of_bias, decide.said_of(modes.GYRO, p), column(imu.rate_valid)),
         )
-        return self._said(after, inputs, flown, *by_motion, dt)
+        return self._said(after, inputs, given, flown, *by_motion, dt)
 
     def _measure(
         self,
@@ -357,25 +369,27 @@ class BankObserver(FlightLaw):
         speaks: tuple[Mask, Mask],
         tilt: Gains | None,
         driven: Flag,
-    ) -> tuple[Posterior, Array, Array, Array]:
-        """Return the posterior, the probability of each hypothesis and mode, and which mode is beyond doubt.
+    ) -> tuple[Posterior, Probabilities, Array]:
+        """Return the posterior, how likely all is, and which mode is beyond doubt.
 
         ``speaks``: the axes of attitude and gyro that are believed and tell of the motion.
         """
         held = speaks[0], speaks[0] | (tilt is not None and tilt.used)
         rarer = 2.0 * log(1.0 - self.level)
-        posterior = inference.believe(bank, *held, driven, state.failed > 0.0, rarer)
+        failing = state.failed > 0.0
+        posterior = inference.believe(bank, *held, driven, failing, rarer, self.gyro_fails)
         posterior, asked = translation.ask_position(beside, bank, posterior)
-        shares, p, doubt = decide.probabilities(posterior)
-        aged = (shares * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
+        given = decide.probabilities(bank, posterior)
+        aged = (given.of_onsets * bank.age[..., modes.EFFECT, :]).sum(axis=-1)
         witnesses = asked, speaks[1] & ~state.gyro.faulty, column(driven)
-        named = decide.named_mode(p, doubt, aged, *witnesses, 1.0 - self.level, self.attitude_from_gyro)
-        return posterior, shares, p, named
+        named = decide.named_mode(given, aged, *witnesses, 1.0 - self.level, self.attitude_from_gyro)
+        return posterior, given, named
 
     def _said(
         self,
         state: State,
         inputs: FaultObserverInputs,
+        given: Probabilities,
         flown: tuple[Quaternion, Vector],
         attitude: Seen,
         gyro: Seen,
@@ -383,7 +397,8 @@ class BankObserver(FlightLaw):
     ) -> tuple[State, FaultEstimate]:
         """Judge the accelerometer, and say what is believed of a sample: ``flown`` are attitude and rate."""
         imu, judged = inputs.imu, not self.attitude_from_gyro
-        unsure = column(gyro.mine.sum(axis=-1) + judged * attitude.mine.sum(axis=-1) > self.level)
+        counts = np.isin(modes.NAME, (modes.GYRO, modes.ATTITUDE) if judged else (modes.GYRO,))
+        unsure = decide.is_unsure(given, counts, self.level)
         few = 1.0 - self.level
         even = trust.no_scatter(imu.body_rate)
         by_attitude = decide.judge(state.attitude, state.angles_read, even, attitude, unsure & judged, few)
