@@ -205,6 +205,12 @@ def chosen(flag: Flag, new: T, old: T) -> T:
     return xp.where(given.reshape(given.shape + (1,) * (one.ndim - given.ndim)), one, other)
 
 
+def at_largest(part: Array) -> Array:
+    """Return 1 where an array (..., n) is largest along its last axis; where several are, their share."""
+    best = 1.0 * (part == part.max(axis=-1, keepdims=True))
+    return best / best.sum(axis=-1, keepdims=True)
+
+
 def branch(flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
     """Return ``then()`` where a flag (...) holds and ``otherwise()`` elsewhere, nested tuples alike.
 

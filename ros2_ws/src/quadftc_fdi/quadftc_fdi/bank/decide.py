@@ -18,6 +18,7 @@ from quadftc_model.arrays import (
     Flag,
     Mask,
     Vector,
+    at_largest,
     branch,
     column,
     exp,
@@ -98,9 +99,7 @@ def _apart(rank: Array, explained: Array, own: NDArray[np.bool_]) -> Array:
     A mode of another axis is worth no more than what it ``explained`` (..., axes, modes), by axis of the
     innovations, together with the likeliest mode of that axis; ``own`` (axes, modes).
     """
-    of_own = where(own, rank[..., None, :], -np.inf)
-    best = 1.0 * (of_own == of_own.max(axis=-1, keepdims=True))
-    best = best / best.sum(axis=-1, keepdims=True)
+    best = at_largest(where(own, rank[..., None, :], -np.inf))
     of_best = (explained[..., None, :, :] * best[..., None, :]).sum(axis=-1)  # (..., axes, of innovations)
     both = smaller(of_best[..., None], explained[..., None, :, :])
     shared = larger(both, 0.0).sum(axis=-2)

@@ -47,6 +47,7 @@ from quadftc_model.arrays import (
     Mask,
     Scalar,
     Vector,
+    at_largest,
     column,
     exp,
     larger,
@@ -154,9 +155,7 @@ def _likeliest(state: Bank, worth: Array, channel: int, failing: Flag) -> tuple[
     ended = TESTS[channel]
     began = state.age[..., ended, :] >= 0.0
     likely = where(began, worth[..., ended, :], LOWEST)
-    highest = likely.max(axis=-1, keepdims=True)
-    best = 1.0 * (likely == highest)
-    best = best / best.sum(axis=-1, keepdims=True)
+    best, highest = at_largest(likely), likely.max(axis=-1, keepdims=True)
     prior = (USUAL[ended] * best).sum(axis=-1, keepdims=True)
     prior = prior + where(failing[..., channel], MORE, 0.0)[..., None, None]
     return best, where(highest > LOWEST, prior, LOWEST)

@@ -56,6 +56,7 @@ from quadftc_model.arrays import (
     Mask,
     Scalar,
     Vector,
+    at_largest,
     clip,
     column,
     exp,
@@ -140,9 +141,7 @@ def believe(
 
 def explained_by_axis(state: Bank, posterior: Posterior) -> Array:
     """Return the log-likelihood that the likeliest onset of each mode adds to each axis (..., 3, modes)."""
-    xp, weight = namespace(state.age), posterior.log_weight
-    best = 1.0 * (weight == weight.max(axis=-1, keepdims=True))
-    best = best / best.sum(axis=-1, keepdims=True)
+    xp, best = namespace(state.age), at_largest(posterior.log_weight)
     J, d = (part.sum(axis=-4) for part in (state.J, state.d))  # (..., axes, products or columns, slots)
     by_axis = [
         _explained(_rows(J[..., k, :, :], EFFECT), _rows(d[..., k, :, :], EFFECT), posterior.b)
@@ -153,15 +152,12 @@ def explained_by_axis(state: Bank, posterior: Posterior) -> Array:
 
 
 def _lines(part: Array, effects: NDArray[np.intp]) -> Array:
-    """Return J or d of some effects, summed over axes: sizes, then slopes (..., 3 or 2, effects, slots).
-
-    What has no slope has zeros there.
-    """
+    """Return J or d of some effects, summed over axes: sizes, then slopes (..., 3 or 2, effects, slots)."""
     return _rows(part.sum(axis=-3), effects)
 
 
 def _rows(part: Array, effects: NDArray[np.intp]) -> Array:
-    """Return sizes, then slopes, of some effects (..., 3 or 2, effects, slots)."""
+    """Return sizes, then slopes, of some effects; zeros for what has none (..., 3 or 2, effects, slots)."""
     rows = part.shape[-2]
     slopes = [np.where(effects < SLOPES, effects + k, rows) for k in range(EFFECTS, rows, SLOPES)]
     padded = namespace(part).concatenate([part, 0.0 * part[..., :1, :]], axis=-2)

@@ -161,11 +161,7 @@ class BankObserver(FlightLaw):
         seen = self._measure(state, imu, moved, without, levels, good, inputs.driven, dt)
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
         untold = state.gyro.faulty | (state.failed[..., :1] > 0.0)
-        bank, off, spread = (
-            hypotheses.disregard(seen.bank, *stuck, untold),
-            seen.off,
-            seen.by_attitude.variance,
-        )
+        bank, off = hypotheses.disregard(seen.bank, *stuck, untold), seen.off
         posterior, given, named = self._infer(state, bank, beside, speaks, seen.tilt, inputs.driven)
         p, is_sure, there = given.of_modes, named.any(axis=-1), imu.attitude_valid
         believed, bank, age = branch(
@@ -190,17 +186,15 @@ class BankObserver(FlightLaw):
         believed = trust.as_before(believed, state.gyro, cleared[1] & ~column(inputs.driven))
         believed = trust.doubted(believed, angle, gyro, named)
         attitude = trust.watch_attitude(
-            before[0], attitude, age, off, spread, levels.attitude, there, believed, dt
+            before[0], attitude, age, off, seen.by_attitude.variance, levels.attitude, there, believed, dt
         )
         beside = translation.follow_fault(beside, off, attitude, before[0].faulty, stuck[0], dt)
         force = self._watch_force(state, seen.tilt, named, age, imu.force_valid, believed, dt)
-        gyro = trust.watch_gyro(
-            before[1], gyro, age, believed, known, state.motion.bias, noise.louder(state.learning), dt
-        )
+        louder, bias = noise.louder(state.learning), state.motion.bias
+        gyro = trust.watch_gyro(before[1], gyro, age, believed, known, bias, louder, dt)
         believed = motion.untaught(believed, gyro.faulty)
         # learn
         turned = turn(state.q_xyzw, 0.5 * (read + state.rate) * column(dt))
-        louder = noise.louder(state.learning)
         scatter = trust.watch_scatter(state.scatter, louder, inputs.driven, 1.0 - self.level, dt)
         well = good_gyro & ~(gyro.faulty | scatter.noisy), good_attitude & ~attitude.faulty
         learning = noise.learn(
@@ -234,7 +228,7 @@ class BankObserver(FlightLaw):
         flown = turn(believed.q_xyzw, angle), believed.rate + change
         of_bias = larger(believed.covariance[..., motion.BETA, motion.BETA], 0.0)
         by_motion = (
-            Seen(off, spread, decide.said_of(modes.ATTITUDE, p), column(there)),
+            Seen(off, seen.by_attitude.variance, decide.said_of(modes.ATTITUDE, p), column(there)),
             Seen(gyro.size, of_bias, decide.said_of(modes.GYRO, p), column(imu.rate_valid)),
         )
         return self._said(after, inputs, given, flown, *by_motion, dt)
