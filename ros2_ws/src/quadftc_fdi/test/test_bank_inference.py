@@ -6,12 +6,13 @@ import pytest
 from quadftc_fdi.bank import hypotheses, inference, modes, motion
 from quadftc_fdi.bank.hypotheses import FIRST, OF_ATTITUDE, OF_GYRO, SLOTS, SPACING
 from quadftc_fdi.bank.motion import BETA, OMEGA, THETA, D
-from quadftc_fdi.bank.noise import Noise
+from quadftc_fdi.bank.noise import LONGER, Noise
 from quadftc_model.rotations import earth_z_in_body, quaternion_from_euler, rotation_between, turn
 from quadftc_model.samples import STANDARD_GRAVITY
 
 DT, ONSET, END, ROWS, SLOT = 0.01, 30, 70, 90, 0  # s; the slot that the first onset takes
-NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.03)))
+NOISE = Noise(*(np.full(3, std_dev**2) for std_dev in (0.02, 1.5, 0.01, 0.005, 0.03)))
+SIZE, SWAY = slice(4, 6), 6  # states of the second filter: after those of the motion
 WALK, AXIS = 0.02, 0  # rad/s/sqrt(s)
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 RARER = -9.0  # log of odds
@@ -41,36 +42,38 @@ class SecondFilter:
     """Kalman filter of one axis by the equations of `bank.motion`; it has size and slope as states, too."""
 
     def __init__(self, P, kind):
-        self.x, self.P, self.kind, self.log_likelihood = np.zeros(6), np.zeros((6, 6)), kind, 0.0
+        self.x, self.P, self.kind, self.log_likelihood = np.zeros(7), np.zeros((7, 7)), kind, 0.0
+        self.P[SWAY, SWAY] = NOISE.sway[0]
         self.P[:4, :4] = P
         self.age = -1.0
 
     def begin(self, prior):
         self.age = 0.0
-        self.P[4:, 4:] = np.diag(prior)
+        self.P[SIZE, SIZE] = np.diag(prior)
         if self.kind == modes.PUSH:
-            self.move(np.eye(6) + np.outer(np.eye(6)[D], np.eye(6)[4]))
+            self.move(np.eye(7) + np.outer(np.eye(7)[D], np.eye(7)[4]))
 
     def move(self, F, driven=0.0, Q=0.0):
         self.x, self.P = F @ self.x + driven, F @ self.P @ F.T + Q
 
     def predict(self, known, gyro, repeats_gyro):
-        F, keep, driven = np.eye(6), np.exp(-DT / motion.CORRELATED), np.zeros(6)
+        F, keep, driven = np.eye(7), np.exp(-DT / motion.CORRELATED), np.zeros(7)
         F[OMEGA, D], F[D, D], driven[OMEGA] = DT, keep, DT * known
         if repeats_gyro:
             F[THETA, BETA], driven[THETA] = -DT, DT * gyro
         else:
             F[THETA, [OMEGA, D]], driven[THETA] = (DT, 0.5 * DT**2), 0.5 * DT**2 * known
-        drive = NOISE.unknown[0] * (1.0 - keep**2)
-        Q = np.diag([NOISE.wander[0] * DT, WALK**2 * DT, drive * DT**2 / 3.0, drive, 0.0, 0.0])
+        F[SWAY, SWAY] = fades = np.exp(-DT / LONGER)
+        drive, sways = NOISE.unknown[0] * (1.0 - keep**2), NOISE.sway[0] * (1.0 - fades**2)
+        Q = np.diag([NOISE.wander[0] * DT, WALK**2 * DT, drive * DT**2 / 3.0, drive, 0.0, 0.0, sways])
         self.move(F, driven, Q)
         self.age += DT if self.age >= 0.0 else 0.0
 
     def measure(self, H, reading, variance, sensor, scaled=0.0):
         if self.age >= 0.0 and self.kind == sensor:
-            H = H + np.array([0.0, 0.0, 0.0, 0.0, 1.0, self.age])
+            H = H + np.array([0.0, 0.0, 0.0, 0.0, 1.0, self.age, 0.0])
         if self.age >= 0.0 and self.kind == OF_SCALE[sensor]:
-            H = H + scaled * np.eye(6)[4]
+            H = H + scaled * np.eye(7)[4]
         e, V = reading - H @ self.x, H @ self.P @ H + variance
         self.log_likelihood -= 0.5 * (e * e / V + np.log(V))
         K = self.P @ H / V
@@ -79,7 +82,8 @@ class SecondFilter:
 
 def without_sensor_errors(state):
     """A motion whose scale and lag are known: then all is linear."""
-    known = np.arange(motion.STATES) < motion.SCALE.start
+    states = np.arange(motion.STATES)
+    known = (states < motion.SCALE.start) | (states == motion.SWAY)
     return state._replace(covariance=state.covariance * known[:, None] * known)
 
 
@@ -152,21 +156,23 @@ def test_a_hypothesis_is_a_filter_that_knows_the_fault(kind, size, slope, repeat
             each.predict(known[row], gyro[row], repeats_gyro)
             if row == ONSET and each is knows:
                 each.begin(modes.PRIOR[mode])
-            by_gyro = np.eye(6)[BETA] + np.eye(6)[OMEGA]
+            by_gyro = np.eye(7)[BETA] + np.eye(7)[OMEGA]
             each.measure(by_gyro, gyro[row], NOISE.gyro[0], modes.GYRO, BLIND[row])
-            each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE, BLIND[row])
+            each.measure(
+                np.eye(7)[THETA] + np.eye(7)[SWAY], angle[row], NOISE.attitude[0], modes.ATTITUDE, BLIND[row]
+            )
     assert not state.loud.any()  # no reading was taken for a loud one
     evidence = believed.log_weight[mode, SLOT] - hypotheses.USUAL[mode, SLOT]
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
     assert evidence > 3.0 or repeats_gyro  # it was seen; an attitude that repeats a gyro's fault hides it
     b, U = believed.b[:, mode, SLOT], by_size_and_slope(bank, mode, SLOT)
-    assert b == pytest.approx(knows.x[4:], rel=1e-6, abs=1e-9)
+    assert b == pytest.approx(knows.x[SIZE], rel=1e-6, abs=1e-9)
     angle_now = 2.0 * np.arctan2(state.q_xyzw[AXIS], state.q_xyzw[3])
     x = np.array([angle_now, state.bias[AXIS], state.rate[AXIS], state.unknown[AXIS]])
     assert x + U @ b == pytest.approx(knows.x[:4], rel=1e-6, abs=1e-8)
     first, mixed, last = believed.covariance[:, mode, SLOT]
     spread = np.array([[first, mixed], [mixed, last]])
-    assert spread == pytest.approx(knows.P[4:, 4:], rel=1e-6)
+    assert spread == pytest.approx(knows.P[SIZE, SIZE], rel=1e-6)
     P = state.covariance[AXIS, :4, :4] + U @ spread @ U.T
     assert pytest.approx(knows.P[:4, :4], rel=1e-6, abs=1e-12) == P
 
@@ -197,15 +203,15 @@ def test_a_return_is_a_filter_that_knows_when_the_fault_began_and_ended(
                 each.begin(modes.PRIOR[mode])
             if row == END:
                 each.kind = None
-            each.measure(np.eye(6)[BETA] + np.eye(6)[OMEGA], gyro[row], NOISE.gyro[0], modes.GYRO)
-            each.measure(np.eye(6)[THETA], angle[row], NOISE.attitude[0], modes.ATTITUDE)
+            each.measure(np.eye(7)[BETA] + np.eye(7)[OMEGA], gyro[row], NOISE.gyro[0], modes.GYRO)
+            each.measure(np.eye(7)[THETA] + np.eye(7)[SWAY], angle[row], NOISE.attitude[0], modes.ATTITUDE)
     assert not state.loud.any()
     # four slots hold that fault, alike; the end comes at the rate of events
     began = hypotheses.USUAL[3 * ended + AXIS, [FIRST[ring] for ring in range(len(SLOTS))]].mean()
     evidence = believed.log_weight[mode, slot] - began - np.log(modes.EVENTS / 3600.0 * SPACING[0])
     assert evidence == pytest.approx(knows.log_likelihood - healthy.log_likelihood, rel=1e-6)
     assert evidence > believed.log_weight[3 * ended + AXIS].max()
-    assert believed.b[:, mode, slot] == pytest.approx(knows.x[4:], rel=1e-6, abs=1e-9)
+    assert believed.b[:, mode, slot] == pytest.approx(knows.x[SIZE], rel=1e-6, abs=1e-9)
     b, U = believed.b[:, mode, slot], by_size_and_slope(bank, mode, slot)
     angle_now = 2.0 * np.arctan2(state.q_xyzw[AXIS], state.q_xyzw[3])
     x = np.array([angle_now, state.bias[AXIS], state.rate[AXIS], state.unknown[AXIS]])
@@ -442,12 +448,24 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size_and_no_scale_withou
     bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
     bank = hypotheses.open_slots(bank, ALIKE, NONE, 0.0)
     attitude, gyro = np.array([True, False, False]), np.array([False, True, False])
-    alone = np.array([False, False, True])
-    gone = (hypotheses.disregard(bank, attitude, gyro, alone).age < 0.0) & (bank.age >= 0.0)
+    untold = np.array([False, False, True])
+    gone = (hypotheses.disregard(bank, attitude, gyro, untold, NONE).age < 0.0) & (bank.age >= 0.0)
     name, axis, kind = (each[: modes.EFFECTS] for each in (modes.NAME, modes.AXIS, modes.KIND))
     expected = ((name == modes.ATTITUDE) & (axis == 0)) | ((name == modes.GYRO) & (axis == 1))
     expected = expected | ((kind == modes.STRETCHED) & (axis == 2))
     assert np.array_equal(gone.any(axis=-1), expected)
+
+
+def test_an_attitude_that_neither_gyro_nor_torque_watches_has_no_fault():
+    """Coupling would blame it for what another axis shows, even when the gyro is right again."""
+    bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
+    bank = hypotheses.open_slots(bank, ALIKE, NONE, 0.0)
+    bank = bank._replace(age=np.where(bank.age.max(axis=0) >= 0.0, 0.0, hypotheses.NEVER) + 0.0 * bank.age)
+    alone = np.array([False, True, False])
+    gone = (hypotheses.disregard(bank, NONE, NONE, NONE, alone).age < 0.0) & (bank.age >= 0.0)
+    kinds = modes.ATTITUDE, modes.RETURN, modes.LATE, modes.STRETCHED
+    expected = np.isin(modes.KIND, kinds) & alone[modes.AXIS]
+    assert np.array_equal(gone.any(axis=-1), expected[: modes.EFFECTS])
 
 
 @pytest.mark.parametrize("settled", [True, False])

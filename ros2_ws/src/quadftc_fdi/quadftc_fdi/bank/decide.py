@@ -11,7 +11,7 @@ from quadftc_fdi.bank import inference, modes, noise, readings
 from quadftc_fdi.bank.hypotheses import Bank
 from quadftc_fdi.bank.inference import Posterior
 from quadftc_fdi.bank.readings import Readings
-from quadftc_fdi.bank.trust import Scatter, Trust
+from quadftc_fdi.bank.trust import AGREES, Scatter, Trust
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Array,
@@ -141,6 +141,15 @@ def named_mode(
 def said_of(sensor: int, of_modes: Array) -> Vector:
     """Add up what is said of faults of attitude or gyro, by axis."""
     return of_modes[..., sensor == modes.NAME].reshape(*of_modes.shape[:-1], -1, 3).sum(axis=-2)
+
+
+def how_sound(given: Probabilities, age: Array) -> tuple[Vector, Vector]:
+    """Return how likely gyro and attitude (..., 3) have no fault that lasts, by the ``age`` of onsets [s].
+
+    What such a fault shows is no noise, named or not. A younger one may be chance, and teaches little.
+    """
+    lasting = (given.of_onsets * (age[..., modes.EFFECT, :] > AGREES)).sum(axis=-1)
+    return 1.0 - said_of(modes.GYRO, lasting), 1.0 - said_of(modes.ATTITUDE, lasting)
 
 
 def is_unsure(given: Probabilities, counts: NDArray[np.bool_], level: float) -> Mask:

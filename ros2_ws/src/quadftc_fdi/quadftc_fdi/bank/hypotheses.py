@@ -39,7 +39,8 @@ from quadftc_fdi.bank.modes import (
     SLOPES,
     pattern,
 )
-from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, LEAN, OMEGA, SCALE, STATES, THETA, D, Gains
+from quadftc_fdi.bank.motion import BETA, CORRELATED, LAG, LEAN, OMEGA, SCALE, STATES, SWAY, THETA, D, Gains
+from quadftc_fdi.bank.noise import LONGER
 from quadftc_fdi.bank.noise import PRIOR as LEARNING
 from quadftc_model.arrays import (
     Array,
@@ -72,7 +73,7 @@ USUAL = np.log(RATE)[:, None] + np.log(np.array(SPACING))[RING]
 class Bank(NamedTuple):
     """Hypotheses (..., effects, slots), by columns or products of `modes` where they have size and slope."""
 
-    U: Array  # by states and axes (..., 9, 3, columns, slots)
+    U: Array  # by states and axes (..., 10, 3, columns, slots)
     J: Array  # by channel and axis (..., 2, 3, products, slots)
     d: Array  # (..., 2, 3, columns, slots)
     square: Array  # sum of the innovations' squares over their variances (..., 2, axes, slots)
@@ -105,6 +106,7 @@ def move(state: Bank, rate: Vector, repeats_gyro: bool, dt: Scalar) -> Bank:
     rows[THETA] = rows[THETA] + step * (by - _cross(rate, rows[THETA]))
     rows[OMEGA] = rows[OMEGA] + step * rows[D]
     rows[D] = exp(-step / CORRELATED) * rows[D]
+    rows[SWAY] = exp(-step / LONGER) * rows[SWAY]
     return state._replace(U=namespace(state.U).stack(rows, axis=-4))
 
 
@@ -177,14 +179,16 @@ def _returning(part: Array, best: list[Array]) -> Array:
     return xp.concatenate(rows, axis=-2)
 
 
-def disregard(state: Bank, attitude: Mask, gyro: Mask, untold: Mask) -> Bank:
+def disregard(state: Bank, attitude: Mask, gyro: Mask, untold: Mask, alone: Mask) -> Bank:
     """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size.
 
     Nor is there a scale of an attitude that is ``untold`` (..., 3): the gyro that tells what it should read
-    is faulty, or was a second ago.
+    is faulty, or was a second ago. An attitude that is ``alone`` (..., 3), as neither gyro nor torque tells
+    the motion, has no fault at all: by coupling it would be blamed for what another axis shows.
     """
     none = namespace(gyro).zeros_like(gyro)
-    as_kinds = [attitude, gyro, none, none, none, none, attitude, gyro, attitude | untold]
+    attitude = attitude | alone
+    as_kinds = [attitude, gyro, alone, none, none, none, attitude, gyro, attitude | untold]
     stuck = namespace(gyro).concatenate(as_kinds, axis=-1)
     return state._replace(age=where(stuck[..., None], NEVER, state.age))
 
@@ -201,7 +205,8 @@ def of_attitude(state: Bank, rate: Vector, added: Array) -> Array:
     ``added`` (..., 3, effects) is what a fault of 1 rad or 1 s adds to its rotation vector.
     """
     late = rate[..., None, None] * state.U[..., LAG, :, :, :]
-    return state.U[..., THETA, :, :, :] - late + added[..., COLUMN, None] * shape_of(state)[..., None, :, :]
+    moved = state.U[..., THETA, :, :, :] + state.U[..., SWAY, :, :, :] - late
+    return moved + added[..., COLUMN, None] * shape_of(state)[..., None, :, :]
 
 
 def of_tilt(state: Bank, vertical: Vector, added: Array) -> Array:
@@ -239,7 +244,7 @@ def weigh(state: Bank, channel: int, seen: Gains, S: Array, vague: Vector | None
     mixed = sloped * sizes[..., :SLOPES, :] * slopes
     J = xp.concatenate([w * sizes * sizes, mixed, sloped * slopes * slopes], axis=-2)
     d = xp.concatenate([e * sizes, e[..., :SLOPES, :] * slopes], axis=-2)
-    gain = seen.gain.swapaxes(-1, -2)[..., None, None]  # (..., 9, 3, 1, 1)
+    gain = seen.gain.swapaxes(-1, -2)[..., None, None]  # (..., 10, 3, 1, 1)
     own = np.eye(2)[channel][:, None, None]
     return state._replace(
         U=state.U - gain * S[..., None, :, :, :],

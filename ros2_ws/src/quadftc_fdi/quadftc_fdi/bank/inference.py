@@ -216,8 +216,8 @@ def _solved(J: Array, d: Array, prior: Array) -> tuple[Array, Array, Array]:
     return evidence, xp.stack([b0, b1], axis=-3), xp.stack([F / det, -c / det, A / det], axis=-3)
 
 
-def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
-    """Learn how noisy the channels are to the tests, where they are ``believed`` (..., 2, axes)."""
+def learn_temper(state: Bank, believed: Array, dt: Scalar) -> Bank:
+    """Learn how noisy the channels are to the tests, as far as these are ``believed`` (..., 2, axes)."""
     xp = namespace(state.age)
     rings = 1.0 * np.equal(RING[:, None], np.arange(len(SLOTS)))  # (slots, rings)
     found: list[Array] = []
@@ -235,7 +235,7 @@ def learn_temper(state: Bank, believed: Mask, dt: Scalar) -> Bank:
         expected.append((began * usual) @ rings)
     square, usual = xp.stack(found, axis=-3), xp.stack(expected, axis=-3)  # (..., 2, axes, rings)
     step = column(column(column(dt)))
-    enough = believed[..., None] & (usual > 0.5)
+    enough = believed[..., None] * (usual > 0.5)
     time = smaller(state.learned + step * enough, MEMORY)
     ratio = smaller(square / larger(usual, 0.5), CLIP * state.temper)
     news = step * enough / (SETTLE + time) * (ratio - state.temper)

@@ -1,6 +1,6 @@
 """The motion of a healthy vehicle: one Kalman filter, whose innovations all hypotheses share.
 
-Each body axis has nine states:
+Each body axis has ten states:
 
 | state | moves as | of |
 |---|---|---|
@@ -11,9 +11,11 @@ Each body axis has nine states:
 | k_x, k_y, k_z | k' = 0 | scale and alignment of the gyro |
 | lag tau | tau' = 0 | the measured attitude |
 | lean lambda | lambda' = w | the accelerometer: its offset, as a tilt |
+| sway sigma | sigma' = -sigma / T_s + w | the measured attitude |
 
-and three measurements, with white noise n: gyro = omega + beta + k omega + n, attitude = theta - tau omega +
-n, and roll and pitch on a test stand, where the accelerometer feels gravity: tilt = theta + lambda + n.
+and three measurements, with white noise n: gyro = omega + beta + k omega + n, attitude = theta + sigma -
+tau omega + n, and roll and pitch on a test stand, where the accelerometer feels gravity: tilt = theta +
+lambda + n. An attitude that an estimator or a marker tells sways: its error comes and goes within T_s.
 The gyro does not correct its own k, whose variance counts (Schmidt 1966): by a torque over a wrong
 inertia a healthy gyro seems to have a wrong scale.
 An attitude that an estimator makes of the same gyro repeats the gyro's errors: there theta' = gyro - beta +
@@ -28,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.bank.modes import LAGS
-from quadftc_fdi.bank.noise import COLOURED, SEVERAL, SMALL, Noise
+from quadftc_fdi.bank.noise import COLOURED, CORRELATED, LONGER, SEVERAL, SMALL, Noise
 from quadftc_fdi.isolation.accelerometer_monitor import LEARNED, LEAST, OFFSET
 from quadftc_model.arrays import (
     Array,
@@ -52,10 +54,9 @@ from quadftc_model.arrays import (
 from quadftc_model.rotations import earth_z_in_body, rotation_between, turn, wrap
 from quadftc_model.samples import MAX_BODY_RATE, STANDARD_GRAVITY
 
-THETA, BETA, OMEGA, D, SCALE, LAG, LEAN, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8, 9
+THETA, BETA, OMEGA, D, SCALE, LAG, LEAN, SWAY, STATES = 0, 1, 2, 3, slice(4, 7), 7, 8, 9, 10
 NONE = np.zeros(STATES)
 IS_SCALE = 1.0 * np.isin(np.arange(STATES), np.arange(STATES)[SCALE])
-CORRELATED = 1.0  # s; chosen: T, as gusts last
 WALK = math.radians(0.003)  # rad/s/√s; chosen: of the bias of a MEMS gyro
 BIAS = math.radians(2.0)  # rad/s; chosen: of a MEMS gyro at the start
 SCALES = 0.01  # 1; chosen: scale and alignment of a MEMS gyro
@@ -78,8 +79,9 @@ class Motion(NamedTuple):
     scale: Array  # (..., 3, 3) of the gyro, by reading and rate
     lag: Vector  # [s]
     lean: Vector  # [rad]
+    sway: Vector  # [rad]
     loud: Array  # readings in a row of gyro, attitude, tilt that were louder than that (..., 3, 3)
-    covariance: Array  # (..., 3, 9, 9)
+    covariance: Array  # (..., 3, 10, 10)
 
 
 class Gains(NamedTuple):
@@ -87,7 +89,7 @@ class Gains(NamedTuple):
 
     innovation: Vector
     variance: Vector  # of the innovation
-    gain: Array  # (..., 3, 9); zeros where it is not used
+    gain: Array  # (..., 3, 10); zeros where it is not used
     used: Mask
 
 
@@ -95,15 +97,15 @@ def start_motion(q_xyzw: Quaternion, gyro: Vector, noise: Noise) -> Motion:
     """Start at a sample, as attitude and gyro say."""
     xp = namespace(gyro)
     zeros = xp.zeros_like(gyro)
-    sensor = [zeros + SCALES**2] * 3 + [zeros + LAGS**2, zeros + LEANS**2]
+    sensor = [zeros + SCALES**2] * 3 + [zeros + LAGS**2, zeros + LEANS**2, noise.sway]
     start = stacked([noise.attitude, zeros + BIAS**2, noise.gyro + BIAS**2, noise.unknown, *sensor])
     P = start[..., None] * xp.eye(STATES)
     silent = xp.stack([zeros] * 3, axis=-2)
-    return Motion(q_xyzw, zeros, gyro, zeros, xp.zeros((*gyro.shape, 3)), zeros, zeros, silent, P)
+    return Motion(q_xyzw, zeros, gyro, zeros, xp.zeros((*gyro.shape, 3)), zeros, zeros, zeros, silent, P)
 
 
 def unsettled(state: Motion, which: int, variance: Vector) -> Motion:
-    """Let one of the nine states have a variance (..., 3), at least."""
+    """Let one of the states have a variance (..., 3), at least."""
     P = state.covariance
     more = larger(variance - P[..., which, which], 0.0)
     return state._replace(covariance=P + more[..., None, None] * np.diag(np.eye(STATES)[which]))
@@ -139,25 +141,28 @@ def predict(
     drive = noise.unknown * (1.0 - keep**2)
     loose = where(column(driven), (0.5 * between) ** 2 / 3.0, UNDRIVEN**2) * step**2  # uniform
     wander = (noise.wander + (SMEAR * norm(state.rate)) ** 2) * step
+    sway = noise.sway * (1.0 - exp(-2.0 * step / LONGER))
     driven_by = [wander, walk**2 * step, drive * step**2 / 3.0 + loose, drive]
-    Q = stacked([*driven_by, *[zeros] * 4, LEAN_WALK**2 * step + zeros])
+    Q = stacked([*driven_by, *[zeros] * 4, LEAN_WALK**2 * step + zeros, sway])
     P = _moved(_moved(state.covariance, repeats_gyro, dt).swapaxes(-1, -2), repeats_gyro, dt)
     return state._replace(
         q_xyzw=turn(state.q_xyzw, turning * step),
         rate=rate,
         unknown=keep * state.unknown,
+        sway=exp(-step / LONGER) * state.sway,
         covariance=P + Q[..., None] * namespace(P).eye(STATES),
     )
 
 
 def _moved(P: Array, repeats_gyro: bool, dt: Scalar) -> Array:
-    """Rows of F P (..., 3, 9, 9) over ``dt`` [s]."""
+    """Rows of F P (..., 3, 10, 10) over ``dt`` [s]."""
     step = column(column(dt))
     rows = [P[..., k, :] for k in range(STATES)]
     by = -rows[BETA] if repeats_gyro else rows[OMEGA] + 0.5 * step * rows[D]
     rows[THETA] = rows[THETA] + step * by
     rows[OMEGA] = rows[OMEGA] + step * rows[D]
     rows[D] = exp(-step / CORRELATED) * rows[D]
+    rows[SWAY] = exp(-step / LONGER) * rows[SWAY]
     return namespace(P).stack(rows, axis=-2)
 
 
@@ -192,9 +197,10 @@ def gyro_error(state: Motion, gyro: Vector) -> Vector:
 
 def take_attitude(state: Motion, q_xyzw: Quaternion, noise: Vector, used: Mask) -> tuple[Motion, Gains]:
     """Correct the motion by a measured attitude whose noise has a variance [rad²]."""
-    innovation = rotation_between(state.q_xyzw, q_xyzw) + state.lag * state.rate
-    across = state.covariance[..., THETA, :] - state.covariance[..., LAG, :] * column(state.rate)
-    own = across[..., THETA] - across[..., LAG] * state.rate
+    innovation = rotation_between(state.q_xyzw, q_xyzw) + state.lag * state.rate - state.sway
+    P = state.covariance
+    across = P[..., THETA, :] + P[..., SWAY, :] - P[..., LAG, :] * column(state.rate)
+    own = across[..., THETA] + across[..., SWAY] - across[..., LAG] * state.rate
     noise = noise + (JITTER * norm(state.rate)) ** 2
     return _correct(state, 1, innovation, across, own + noise, used, NONE)
 
@@ -220,7 +226,7 @@ def _correct(
     used: Mask,
     kept: Array,
 ) -> tuple[Motion, Gains]:
-    """Correct the motion by an innovation, but for the states that are ``kept`` (9,): 1 there."""
+    """Correct the motion by an innovation, but for the states that are ``kept`` (10,): 1 there."""
     loud = state.loud[..., sensor, :]
     bound = innovation * innovation / (LOUD * exp(LOUDER * larger(loud - SEVERAL, 0.0)))
     variance = larger(variance, SMALL)
@@ -236,7 +242,7 @@ def _correct(
 
 
 def moved_by(state: Motion, change: Array) -> Motion:
-    """Add a change (..., 3, 9) of the states."""
+    """Add a change (..., 3, 10) of the states."""
     return state._replace(
         q_xyzw=turn(state.q_xyzw, change[..., THETA]),
         bias=state.bias + change[..., BETA],
@@ -245,4 +251,5 @@ def moved_by(state: Motion, change: Array) -> Motion:
         scale=state.scale + change[..., SCALE],
         lag=state.lag + change[..., LAG],
         lean=state.lean + change[..., LEAN],
+        sway=state.sway + change[..., SWAY],
     )

@@ -5,10 +5,11 @@ y a variance of 2 R, and a variance of 6 R to its change from sample to sample. 
 acceleration of variance D adds D lag², a wandering error W lag:
 
     gyro against torque:     var y = 2 R + D lag²
-    attitude against gyro:   var y = 2 R / n + 2/3 W lag
+    attitude against gyro:   var y = 2 R / n + W (lag - T/3) + 2 S (2/e - (1 - 1/e)² exp(1 - lag/T))
 
-The second y is between means of n readings, over one lag and the next: in single ones the noise would hide
-what wanders.
+The second y is between means of n readings over T, `LONGER`: in single ones the noise would hide what
+wanders. S is the variance of an error that correlates over T, and so moves no farther: filters and markers
+sway. Two lags, T and `CORRELATED`, tell S from W.
 
 A filter in the gyro smooths its noise. Of noise whose neighbours correlate by rho, changes from sample to
 sample have a variance of 6 R (1 - 4/3 rho + rho²/3) only. R is then seen over a short lag, and what it weighs
@@ -34,13 +35,14 @@ from quadftc_model.arrays import (
     any_of,
     clip,
     column,
+    exp,
     larger,
     namespace,
     smaller,
     sqrt,
     where,
 )
-from quadftc_model.rotations import rotation_between, turn
+from quadftc_model.rotations import rotation_between, to_body, to_earth, turn
 
 SMALL = 1e-12  # 1; rounding: rad², rad²/s², or of a determinant over its product
 SEVERAL = 3.0  # 1; chosen: readings in a row that are loud, repeated or missing, and no chance
@@ -48,6 +50,7 @@ SHORT = 0.01  # s; chosen: short lag of the gyro: beyond its filter
 COLOURED = 0.98  # 1; chosen: largest correlation of the noise of two samples
 LONG = 0.04  # s; chosen: longer lag of the gyro: some samples, below the motion's period
 LONGER = 0.2  # s; chosen: the same of the attitude
+CORRELATED = 1.0  # s; chosen: T, as gusts last
 MEMORY = 20.0  # s; chosen: of what is learned
 PRIOR = 0.25  # s; chosen: what the values at the start are worth
 NEWS = 2.0  # 1; chosen: what news count more than in a mean
@@ -67,6 +70,7 @@ class Noise(NamedTuple):
     gyro: Vector  # white, of a reading [rad²/s²]
     unknown: Vector  # of the unknown acceleration [rad²/s⁴]
     attitude: Vector  # white, of a reading [rad²]
+    sway: Vector  # of the attitude, correlated over `LONGER` [rad²]
     wander: Vector  # of attitude against gyro [rad²/s]
 
 
@@ -89,6 +93,15 @@ class Bend(NamedTuple):
     age: Scalar  # of the anchor [s]
 
 
+class Walk(NamedTuple):
+    """How far means of the attitude move from the gyro over several lags."""
+
+    square: Vector  # mean of the squares [rad²]
+    lag: Vector  # mean of those lags [s]
+    moved: Vector  # so far, in earth axes [rad]
+    age: Scalar  # of that [s]
+
+
 class Learning(NamedTuple):
     """Variograms, and where their longer lags begin."""
 
@@ -105,6 +118,7 @@ class Learning(NamedTuple):
     number: Scalar  # of those readings
     before: Vector  # from the mean of those over the lag before to that anchor [rad]
     few: Scalar  # 1 over how many those were
+    walk: Walk
 
 
 def start_learning(q_xyzw: Quaternion, gyro: Vector) -> Learning:
@@ -115,7 +129,8 @@ def start_learning(q_xyzw: Quaternion, gyro: Vector) -> Learning:
     by_gyro = Variogram(2.0 * still, 2.0 * still, zeros + LONGER, zeros, zeros)
     none, near = zeros[..., 0], by_torque.near
     bend = Bend(near, zeros, zeros, none)
-    begun = none, zeros, none, zeros, none + 1.0
+    walk = Walk(2.0 * still, zeros + CORRELATED, zeros, none)
+    begun = none, zeros, none, zeros, none + 1.0, walk
     return Learning(by_torque, by_gyro, near, bend, zeros, zeros, none, q_xyzw, *begun)
 
 
@@ -126,20 +141,20 @@ def learn(
     known: Vector,
     q_xyzw: Quaternion,
     last_q: Quaternion,
-    good_gyro: Mask,
-    good_attitude: Mask,
+    good_gyro: Vector,
+    good_attitude: Vector,
     heard: Mask,
     dt: Scalar,
 ) -> Learning:
     """Learn from a sample: readings, those before, and the known acceleration since [rad/s²].
 
-    The masks say which readings are there and believed; the last, of which the gyro has a reading at all.
+    How good readings are (..., 3), 0 to 1, is what they count for; ``heard``: the gyro has a reading at all.
     """
     step = column(dt)
     turning = 0.5 * (gyro + last_gyro) * step
     age, older = state.age + dt, state.older + dt
     at_anchor = turn(state.q_xyzw, turning)
-    full, fuller = age >= LONG, (older >= LONGER) & any_of(good_attitude)[..., 0]
+    full, fuller = age >= LONG, (older >= LONGER) & any_of(good_attitude > 0.0)[..., 0]
     # gyro against torque: over a sample, spikes clipped, and summed up over the longer lag
     change, bound = gyro - last_gyro - known * step - state.moved, sqrt(TIGHT * state.gyro.near)
     square = smaller(change * change, TIGHT * larger(state.lately, state.gyro.near))
@@ -149,12 +164,14 @@ def learn(
     lately = state.lately + smaller(step / LONG, 1.0) * heard * (square - state.lately)
     # attitude against gyro: over a sample, and of the mean over a lag from the anchor before it
     apart = rotation_between(turn(last_q, turning), q_xyzw) - state.attitude.drift * step
-    both = good_gyro & good_attitude
+    both = good_gyro * good_attitude
     far = walked, column(age), full & (age < 2.0 * LONG)
-    angle, there = rotation_between(at_anchor, q_xyzw), 1.0 * any_of(good_attitude)[..., 0]
+    angle, there = rotation_between(at_anchor, q_xyzw), 1.0 * any_of(good_attitude > 0.0)[..., 0]
     total, count = state.apart + column(there) * angle, state.number + there
     mean = total / column(larger(count, 1.0))
     farther = mean + state.before, column(older), fuller & (older < 2.0 * LONGER)
+    steady = farther[0] - state.attitude.drift * farther[1]
+    walk = _walked(state.walk, at_anchor, steady, older, farther[2], both, state.attitude.time)
     # where a lag is full, its anchor moves here
     return Learning(
         _learned(state.gyro, change, *far, good_gyro, 2, LOOSE, step),
@@ -170,6 +187,27 @@ def learn(
         where(fuller, 0.0, count),
         where(column(fuller), angle - mean, state.before),
         where(fuller, 1.0 / larger(count, 1.0), state.few),
+        walk,
+    )
+
+
+def _walked(
+    state: Walk, q_xyzw: Quaternion, moved: Vector, age: Scalar, full: Flag, good: Vector, time: Vector
+) -> Walk:
+    """Learn from how far means of the attitude have ``moved`` [rad] over a lag that is ``full``.
+
+    The axes turn meanwhile, so none counts more than the least ``good`` (..., 3).
+    """
+    total, lag = state.moved + to_earth(q_xyzw, moved), state.age + age
+    moved, weight = to_body(q_xyzw, total), good.min(axis=-1)
+    far = full & (lag >= CORRELATED)
+    gain = smaller(NEWS * column(lag) / (PRIOR + time), 1.0) * column(far * weight)
+    goes_on = full & (weight > 0.0) & ~far
+    return Walk(
+        state.square + gain * (smaller(moved * moved, TIGHT * state.square) - state.square),
+        state.lag + gain * (column(lag) - state.lag),
+        where(column(goes_on), total, where(column(age < LONGER), state.moved, 0.0)),
+        where(goes_on, lag, where(age < LONGER, state.age, 0.0)),
     )
 
 
@@ -179,7 +217,7 @@ def _learned(
     far: Vector,
     age: Scalar,
     full: Flag,
-    good: Mask,
+    good: Vector,
     power: int,
     clip: float,
     dt: Scalar,
@@ -187,7 +225,7 @@ def _learned(
     """Learn from how far readings moved over ``dt`` and ``age`` [s]; variances grow by a power of the lag."""
     time = smaller(state.time + dt * good, MEMORY)
     gain = smaller(NEWS * dt / (PRIOR + time), 1.0) * good
-    gains = smaller(NEWS * age / (PRIOR + time), 1.0) * (good & column(full))
+    gains = smaller(NEWS * age / (PRIOR + time), 1.0) * (good * column(full))
     steady, bound = far - state.drift * age, sqrt(clip * state.far)
     moved = smaller(larger(steady, -bound), bound)
     return Variogram(
@@ -199,11 +237,11 @@ def _learned(
     )
 
 
-def _bent(state: Bend, moved: Vector, good: Mask, time: Vector, dt: Scalar) -> Bend:
+def _bent(state: Bend, moved: Vector, good: Vector, time: Vector, dt: Scalar) -> Bend:
     """Learn from how far the gyro moved over ``dt`` [s] against torque [rad/s]."""
     since, age = state.since + moved, state.age + dt
     full = column(age >= SHORT - 1e-6)
-    gain = smaller(NEWS * column(age) / (PRIOR + time), 1.0) * (good & full & (column(age) < 2.0 * SHORT))
+    gain = smaller(NEWS * column(age) / (PRIOR + time), 1.0) * good * (full & (column(age) < 2.0 * SHORT))
     news = smaller((since - state.until) ** 2, LOOSE * state.square) - state.square
     return Bend(
         state.square + gain * news,
@@ -226,10 +264,22 @@ def noise_of(state: Learning, driven: Flag, dt: Scalar) -> Noise:
     unknown = larger((gyro.far - 2.0 * total) / gyro.lag, LEAST_UNKNOWN**2)
     # two sigma of a mean of squares
     of_mean = 2.0 * still * column(state.few)
-    doubt = 2.0 * of_mean * sqrt(2.0 * LONGER / (PRIOR + attitude.time))
-    wander = larger(3.0 / 2.0 * (attitude.far - of_mean - doubt) / attitude.lag, LEAST_WANDER**2)
+    near, far = (
+        each - of_mean * (1.0 + 2.0 * sqrt(2.0 * lag / (PRIOR + attitude.time)))
+        for each, lag in ((attitude.far, LONGER), (state.walk.square, state.walk.lag))
+    )
+    of_sway, of_more = _swayed(attitude.lag), _swayed(state.walk.lag)
+    walks, walks_more = attitude.lag - LONGER / 3.0, state.walk.lag - LONGER / 3.0
+    wander = (far * of_sway - near * of_more) / (walks_more * of_sway - walks * of_more)
+    wander = larger(wander, LEAST_WANDER**2)
+    sway = larger(near - wander * walks, 0.0) / of_sway
     most = 3.0 / 2.0 * attitude.far / attitude.lag / column(larger(dt, SMALL))
-    return Noise(where(column(driven), white, smaller(white, most)), unknown, still, wander)
+    return Noise(where(column(driven), white, smaller(white, most)), unknown, still, sway, wander)
+
+
+def _swayed(lag: Vector) -> Vector:
+    """Return the variance of how far means over `LONGER` move over a ``lag`` [s], for a sway of 1."""
+    return 2.0 * (2.0 / math.e - (1.0 - 1.0 / math.e) ** 2 * exp(1.0 - lag / LONGER))
 
 
 def louder(state: Learning) -> Vector:

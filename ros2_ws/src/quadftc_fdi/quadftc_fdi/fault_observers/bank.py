@@ -160,8 +160,7 @@ class BankObserver(FlightLaw):
         good = good_gyro, good_attitude
         seen = self._measure(state, imu, moved, without, levels, good, inputs.driven, dt)
         stuck = readings.is_stuck(attitude_read), readings.is_stuck(gyro_read)
-        untold = state.gyro.faulty | (state.failed[..., :1] > 0.0)
-        bank, off = hypotheses.disregard(seen.bank, *stuck, untold), seen.off
+        bank, off = _regarded(seen.bank, state, *stuck, speaks[1], inputs.driven), seen.off
         posterior, given, named = self._infer(state, bank, beside, speaks, seen.tilt, inputs.driven)
         p, is_sure, there = given.of_modes, named.any(axis=-1), imu.attitude_valid
         believed, bank, age = branch(
@@ -196,11 +195,14 @@ class BankObserver(FlightLaw):
         # learn
         turned = turn(state.q_xyzw, 0.5 * (read + state.rate) * column(dt))
         scatter = trust.watch_scatter(state.scatter, louder, inputs.driven, 1.0 - self.level, dt)
-        well = good_gyro & ~(gyro.faulty | scatter.noisy), good_attitude & ~attitude.faulty
+        sound = decide.how_sound(given, bank.age)
+        well = (
+            sound[0] * (good_gyro & ~(gyro.faulty | scatter.noisy)),
+            sound[1] * (good_attitude & ~attitude.faulty),
+        )
         learning = noise.learn(
             state.learning, read, state.rate, known, imu.q_xyzw, state.q_xyzw, *well, good_gyro, dt
         )
-        failing = trust.any_faulty(gyro, attitude, force)
         after = State(
             motion=believed,
             blind=blind,
@@ -219,7 +221,9 @@ class BankObserver(FlightLaw):
             reckoned=seen.reckoned,
             torque=torque,
             translation=beside,
-            failed=where(failing, trust.AGREES, larger(state.failed - dt, 0.0)),
+            failed=where(
+                trust.any_faulty(gyro, attitude, force), trust.AGREES, larger(state.failed - dt, 0.0)
+            ),
         )
         # what is flown: the mean over the hypotheses, which has the least expected square of the error
         angle, change = inference.expected_change(
@@ -418,6 +422,15 @@ class BankObserver(FlightLaw):
             SensorDiagnosis(by_attitude, by_gyro, by_accelerometer),
             rotors,
         )
+
+
+def _regarded(
+    bank: Bank, state: State, stuck_attitude: Mask, stuck_gyro: Mask, witness: Mask, driven: Flag
+) -> Bank:
+    """Drop faults that no reading tells; where the gyro is a ``witness`` (..., 3), it has readings."""
+    untold = state.gyro.faulty | (state.failed[..., :1] > 0.0)
+    alone = (~witness | state.gyro.faulty) & ~column(driven)
+    return hypotheses.disregard(bank, stuck_attitude, stuck_gyro, untold, alone)
 
 
 def _turning(angles: Vector) -> Array:
