@@ -11,13 +11,13 @@ Each body axis has ten states:
 | k_x, k_y, k_z | k' = 0 | scale and alignment of the gyro |
 | lag tau | tau' = 0 | the measured attitude |
 | lean lambda | lambda' = w | the accelerometer: its offset, as a tilt |
-| sway sigma | sigma' = -sigma / T_s + w | the measured attitude |
+| sway sigma | sigma' = -sigma / L + w | the measured attitude |
 
 and three measurements, with white noise n: gyro = omega + beta + k omega + n, attitude = theta + sigma -
 tau omega + n, and roll and pitch on a test stand, where the accelerometer feels gravity: tilt = theta +
-lambda + n. An attitude that an estimator or a marker tells sways: its error comes and goes within T_s.
-The gyro does not correct its own k, whose variance counts (Schmidt 1966): by a torque over a wrong
-inertia a healthy gyro seems to have a wrong scale.
+lambda + n. An attitude that an estimator or a marker tells sways: its error comes and goes within L,
+`noise.LONGER`. The gyro does not correct its own k, whose variance counts (Schmidt 1966): by a torque over
+a wrong inertia a healthy gyro seems to have a wrong scale.
 An attitude that an estimator makes of the same gyro repeats the gyro's errors: there theta' = gyro - beta +
 w, and w holds what the estimator corrects. Axes are coupled in the mean alone, not in the covariance.
 """

@@ -5,11 +5,11 @@ y a variance of 2 R, and a variance of 6 R to its change from sample to sample. 
 acceleration of variance D adds D lag², a wandering error W lag:
 
     gyro against torque:     var y = 2 R + D lag²
-    attitude against gyro:   var y = 2 R / n + W (lag - T/3) + 2 S (2/e - (1 - 1/e)² exp(1 - lag/T))
+    attitude against gyro:   var y = 2 R / n + W (lag - L/3) + 2 S (2/e - (1 - 1/e)² exp(1 - lag/L))
 
-The second y is between means of n readings over T, `LONGER`: in single ones the noise would hide what
-wanders. S is the variance of an error that correlates over T, and so moves no farther: filters and markers
-sway. Two lags, T and `CORRELATED`, tell S from W.
+The second y is between means of n readings over L, `LONGER`: in single ones the noise would hide what
+wanders. S is the variance of a sway, an error that correlates over L, so it soon moves no farther. Two lags,
+L and `CORRELATED`, tell S from W.
 
 A filter in the gyro smooths its noise. Of noise whose neighbours correlate by rho, changes from sample to
 sample have a variance of 6 R (1 - 4/3 rho + rho²/3) only. R is then seen over a short lag, and what it weighs

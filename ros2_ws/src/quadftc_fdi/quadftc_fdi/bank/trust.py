@@ -136,7 +136,7 @@ def take_over(
         picked[..., part].sum(axis=-1).swapaxes(-1, -2)
         for part in (slice(modes.EFFECTS), slice(modes.EFFECTS, None))
     )
-    U = xp.stack([by_size, by_slope], axis=-2)  # (..., 3, 2, 9)
+    U = xp.stack([by_size, by_slope], axis=-2)  # (..., 3, 2, 10)
     b = xp.stack([of(posterior.b[..., k, :, :]) for k in range(2)], axis=-1)
     first, mixed, last = (of(posterior.covariance[..., k, :, :]) for k in range(3))
     spread = xp.stack([xp.stack([first, mixed], axis=-1), xp.stack([mixed, last], axis=-1)], axis=-2)
