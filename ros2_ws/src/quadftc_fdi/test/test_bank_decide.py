@@ -19,7 +19,8 @@ SHOWN, KNOWN = 1e3, 1e4  # of a step of the gyro: log-likelihoods of 50
 def shown(*explained: tuple[int, int]) -> Bank:
     """Return a bank that has seen a gyro step; pairs are axes of a mode and of what it explains."""
     bank = hypotheses.start_bank(NONE)
-    bank = hypotheses.open_slots(bank, bank.age[modes.EFFECT] + hypotheses.LOWEST, EACH & False, 1.0)
+    worth = bank.age[modes.EFFECT] + hypotheses.LOWEST
+    bank = hypotheses.open_slots(bank, worth, EACH & False, np.True_, 1.0)
     J, d = np.zeros_like(bank.J), np.zeros_like(bank.d)
     for axis, seen_on in explained:
         J[OF_GYRO, seen_on, 3 * modes.GYRO + axis] = KNOWN

@@ -116,7 +116,7 @@ def by_size_and_slope(bank, mode, slot):
 def one_onset(bank, now):
     """Let all hypotheses grow older; begin an onset in each ring, or in none."""
     bank = bank._replace(since=np.array(SPACING) if now else np.full(len(SLOTS), -1.0))
-    return hypotheses.open_slots(bank, ALIKE, NONE, DT)
+    return hypotheses.open_slots(bank, ALIKE, NONE, np.True_, DT)
 
 
 def measure(state, bank, gyro, q_xyzw, blind=LEVEL[:3]):
@@ -301,7 +301,7 @@ def test_a_torque_may_have_changed_at_any_time_between_two_samples():
 
 def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
     bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    believed = believed_of(hypotheses.open_slots(bank, ALIKE, NONE, 0.0))
+    believed = believed_of(hypotheses.open_slots(bank, ALIKE, NONE, np.True_, 0.0))
     for row, kind in enumerate(modes.KINDS):
         if row in RETURNS:
             continue
@@ -317,30 +317,51 @@ def test_a_hypothesis_begins_with_the_rate_and_the_spread_of_the_table():
     assert began.sum() == (modes.MODES - 6) * len(SPACING)  # there is nothing from which to return
 
 
-def ages(worth, seconds=6.0, dt=0.004):
-    """Ages of the onsets of each ring in the end; ``worth`` is that of slots by when they began [s]."""
+def ages(shown, seconds=6.0, dt=0.004, of=modes.IS_FAULT, driven=np.True_):
+    """Ages of the onsets of each ring in the end; modes have ``shown`` something by when they began [s]."""
     bank, now = hypotheses.start_bank(np.zeros(3)), 0.0
     for _ in range(round(seconds / dt)):
         age = bank.age[0]
-        likely = np.where(age >= 0.0, worth(now - age), hypotheses.LOWEST)
-        bank = hypotheses.open_slots(bank, ALIKE + likely, NONE, dt)
+        worth = hypotheses.USUAL + shown(now - age) * of[:, None]
+        worth = np.where(age >= 0.0, worth, hypotheses.LOWEST)
+        bank = hypotheses.open_slots(bank, worth, NONE, driven, dt)
         now += dt
     return [np.sort(bank.age[0, FIRST[k] : FIRST[k + 1]]) for k in range(len(SLOTS))]
 
 
-@pytest.mark.parametrize("likely", [0.0, -5.0])
-def test_the_oldest_onset_goes_where_nothing_is_likely(likely):
-    full = ages(lambda began: 0.0 * began + likely, seconds=max(np.multiply(SPACING, SLOTS)) + 1.0)
+@pytest.mark.parametrize("shown", [0.0, -5.0])
+def test_the_oldest_onset_goes_where_nothing_has_shown(shown):
+    full = ages(lambda began: 0.0 * began + shown, seconds=max(np.multiply(SPACING, SLOTS)) + 1.0)
     for row, spacing, slots in zip(full, SPACING, SLOTS, strict=True):
         steps = np.ceil(spacing / 0.004 - 1e-6) * 0.004
         assert np.diff(row) == pytest.approx(np.full(slots - 1, steps), abs=1e-9)
         assert row[0] < steps
 
 
-def test_a_likely_onset_stays_and_the_oldest_of_the_others_goes():
-    fast, *_ = ages(lambda began: 8.0 * (abs(began - 1.0) < 0.003))
+def one_second(shown):
+    """What has ``shown`` at the onset that began at 1 s."""
+    return lambda began: shown * (abs(began - 1.0) < 0.003)
+
+
+def test_an_onset_stays_while_it_shows_more_than_chance_would_at_as_many():
+    lucky = np.log(5.0 / SPACING[0])  # at the luckiest of the onsets of 5 s
+    fast, *_ = ages(one_second(lucky + 0.1))
     assert fast[-1] == pytest.approx(5.0, abs=0.006)
     assert fast[:-1] == pytest.approx(np.arange(len(fast) - 1) * 0.004, abs=1e-9)
+    fast, *_ = ages(one_second(lucky - 0.1))
+    assert fast == pytest.approx(np.arange(len(fast)) * 0.004, abs=1e-9)
+
+
+def test_without_a_torque_and_for_what_is_no_fault_an_onset_stays_where_it_is_likely():
+    shown = np.log(5.0 / SPACING[0]) + 0.1
+    unlikely = modes.RATE * SPACING[0] < np.exp(-shown)
+    for of, driven in ((modes.IS_FAULT & unlikely, np.False_), (~modes.IS_FAULT & unlikely, np.True_)):
+        assert of.any()
+        fast, *_ = ages(one_second(shown), of=of, driven=driven)
+        assert fast == pytest.approx(np.arange(len(fast)) * 0.004, abs=1e-9)
+    for driven in (np.True_, np.False_):
+        fast, *_ = ages(one_second(20.0), of=~modes.IS_FAULT, driven=driven)
+        assert fast[-1] == pytest.approx(5.0, abs=0.006)
 
 
 def test_a_wrong_scale_is_held_possible_by_both_witnesses():
@@ -436,7 +457,7 @@ def test_a_scale_of_a_rate_that_is_vague_is_told_as_vaguely():
 
 def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
     bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    bank = hypotheses.open_slots(bank, ALIKE, NONE, 0.0)
+    bank = hypotheses.open_slots(bank, ALIKE, NONE, np.True_, 0.0)
     axes = np.array([False, True, False])
     gone, but_gyros = (hypotheses.forget(bank, axes, settled, NONE).age < 0.0 for settled in (axes, NONE))
     own, of_gyro = modes.AXIS[: modes.EFFECTS] == 1, modes.NAME[: modes.EFFECTS] == modes.GYRO
@@ -446,7 +467,7 @@ def test_onsets_of_an_axis_that_is_believed_again_are_forgotten():
 
 def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size_and_no_scale_without_a_gyro():
     bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    bank = hypotheses.open_slots(bank, ALIKE, NONE, 0.0)
+    bank = hypotheses.open_slots(bank, ALIKE, NONE, np.True_, 0.0)
     attitude, gyro = np.array([True, False, False]), np.array([False, True, False])
     untold = np.array([False, False, True])
     gone = (hypotheses.disregard(bank, attitude, gyro, untold, NONE).age < 0.0) & (bank.age >= 0.0)
@@ -459,7 +480,7 @@ def test_what_a_sensor_reads_while_it_is_stuck_tells_no_size_and_no_scale_withou
 def test_an_attitude_that_neither_gyro_nor_torque_watches_has_no_fault():
     """Coupling would blame it for what another axis shows, even when the gyro is right again."""
     bank = hypotheses.start_bank(np.zeros(3))._replace(since=np.array(SPACING))
-    bank = hypotheses.open_slots(bank, ALIKE, NONE, 0.0)
+    bank = hypotheses.open_slots(bank, ALIKE, NONE, np.True_, 0.0)
     bank = bank._replace(age=np.where(bank.age.max(axis=0) >= 0.0, 0.0, hypotheses.NEVER) + 0.0 * bank.age)
     alone = np.array([False, True, False])
     gone = (hypotheses.disregard(bank, NONE, NONE, NONE, alone).age < 0.0) & (bank.age >= 0.0)
@@ -492,7 +513,7 @@ def test_a_gyro_whose_attitude_is_not_there_needs_new_evidence_and_nobody_else_d
 
 @pytest.mark.parametrize("sensor", range(3))
 def test_the_other_axes_of_a_failing_sensor_are_likelier_to_fail(sensor):
-    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, np.True_, 1.0)
     well, ill = (believed_of(bank, failing=np.arange(3) == failing) for failing in (3, sensor))
     more = ill.log_weight - well.log_weight
     own = (modes.GYRO, modes.ATTITUDE, modes.FELT)[sensor] == modes.NAME
@@ -503,7 +524,7 @@ def test_the_other_axes_of_a_failing_sensor_are_likelier_to_fail(sensor):
 
 
 def test_a_gyro_whose_attitude_is_not_good_is_less_likely_to_be_blamed():
-    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, np.True_, 1.0)
     alone = believed_of(bank, good_attitude=np.array([False, True, True])).log_weight
     less = alone - believed_of(bank).log_weight
     began = alone > hypotheses.LOWEST
@@ -513,7 +534,7 @@ def test_a_gyro_whose_attitude_is_not_good_is_less_likely_to_be_blamed():
 
 
 def test_without_a_torque_there_is_no_push():
-    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, np.True_, 1.0)
     by_hand = inference.believe(bank, THERE, THERE, np.False_, NONE, RARER).log_weight
     told = (by_hand > hypotheses.LOWEST).any(axis=-1)
     needs_torque = (modes.PUSH, modes.SCALED, modes.STRETCHED, modes.WILD)
@@ -522,7 +543,7 @@ def test_without_a_torque_there_is_no_push():
 
 @pytest.mark.parametrize("gyro_fails", [True, False])
 def test_without_a_torque_an_attitude_that_is_good_tells_a_gyro_and_nothing_else_does(gyro_fails):
-    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, np.True_, 1.0)
     held = np.array([True, False, True])
     weight = inference.believe(bank, held, held, np.False_, NONE, RARER, gyro_fails).log_weight
     told = (weight > hypotheses.LOWEST).any(axis=-1)
@@ -532,7 +553,7 @@ def test_without_a_torque_an_attitude_that_is_good_tells_a_gyro_and_nothing_else
 
 
 def test_no_attitude_is_early():
-    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, 1.0)
+    bank = hypotheses.open_slots(hypotheses.start_bank(np.zeros(3)), ALIKE, NONE, np.True_, 1.0)
     J, d = (np.zeros_like(part) for part in (bank.J, bank.d))
     J[..., : modes.EFFECTS, :], d[..., : modes.EFFECTS, :] = 50.0, 5.0
     late, early = (believed_of(bank._replace(J=J, d=sign * d)) for sign in (1.0, -1.0))

@@ -5,8 +5,12 @@ onset. The innovations e, of variance V, then have the mean S b. Friedland (1969
 
     U <- F U + G,   S = H U + h,   U <- U - K S,   J += S' S / V,   d += S' e / V
 
-Onsets have slots, in four rings. A ring takes an onset every `SPACING`; of its slots the least likely goes,
-and the oldest where nothing is likely. So a hypothesis "since 40 ms" has never used the samples since.
+Onsets have slots, in four rings. So a hypothesis "since 40 ms" has never used the samples since. A ring takes
+an onset every `SPACING`; of its slots the least likely goes, and the oldest where nothing is likely.
+
+A small step of the gyro shows little at first, and any other onset refutes it where the torque is known. An
+onset stays there, too, while a fault has shown more than ln n, whatever it is worth beforehand: chance shows
+that at the luckiest of the n onsets which its ring has taken since.
 
 A sensor that drifts may be right again before it is named: it jumps back to where the filter no longer is. A
 return is the likeliest fault of attitude or gyro so far, with all that speaks for it. From its onset on that
@@ -28,6 +32,7 @@ from quadftc_fdi.bank.modes import (
     EFFECTS,
     GYRO,
     GYRO_RETURN,
+    IS_FAULT,
     KIND,
     MORE,
     NAME,
@@ -52,6 +57,7 @@ from quadftc_model.arrays import (
     column,
     exp,
     larger,
+    log,
     namespace,
     where,
 )
@@ -117,17 +123,21 @@ def _cross(rate: Vector, theta: Array) -> Array:
     return namespace(theta).stack([q * z - r * y, r * x - p * z, p * y - q * x], axis=-3)
 
 
-def open_slots(state: Bank, worth: Array, failing: Flag, dt: Scalar) -> Bank:
+def open_slots(state: Bank, worth: Array, failing: Flag, driven: Flag, dt: Scalar) -> Bank:
     """Begin onsets at this sample in rings that are due.
 
-    ``worth`` (..., modes, slots) is the log weight of the hypotheses so far; ``failing`` is as in `believe`.
+    ``worth`` (..., modes, slots) is the log weight of the hypotheses so far. ``failing`` and ``driven`` are
+    those of `inference.believe`.
     """
     xp = namespace(state.age)
     since = state.since + column(dt)
     due = since >= np.array(SPACING) - 1e-6
     age = where(state.age >= 0.0, state.age + column(column(dt)), NEVER)
     oldest = age.max(axis=-2)
-    keep = where(oldest >= 0.0, larger(worth.max(axis=-2), 0.0) - 1e-6 * oldest, LOWEST)
+    by_chance = log(larger(oldest / np.array(SPACING)[RING], 1.0))
+    shown = where(IS_FAULT[:, None], worth - USUAL, LOWEST).max(axis=-2) - by_chance
+    likely = larger(worth.max(axis=-2), where(column(driven), shown, LOWEST))
+    keep = where(oldest >= 0.0, larger(likely, 0.0) - 1e-6 * oldest, LOWEST)
     new: list[Array] = []
     for ring in range(len(SLOTS)):
         row = keep[..., FIRST[ring] : FIRST[ring + 1]]

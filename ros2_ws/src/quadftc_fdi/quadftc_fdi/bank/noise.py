@@ -165,13 +165,13 @@ def learn(
     # attitude against gyro: over a sample, and of the mean over a lag from the anchor before it
     apart = rotation_between(turn(last_q, turning), q_xyzw) - state.attitude.drift * step
     both = good_gyro * good_attitude
-    far = walked, column(age), full & (age < 2.0 * LONG)
+    far = walked - state.gyro.drift * column(age), column(age), full & (age < 2.0 * LONG)
     angle, there = rotation_between(at_anchor, q_xyzw), 1.0 * any_of(good_attitude > 0.0)[..., 0]
     total, count = state.apart + column(there) * angle, state.number + there
     mean = total / column(larger(count, 1.0))
-    farther = mean + state.before, column(older), fuller & (older < 2.0 * LONGER)
-    steady = farther[0] - state.attitude.drift * farther[1]
-    walk = _walked(state.walk, at_anchor, steady, older, farther[2], both, state.attitude.time)
+    moved_on = mean + state.before - state.attitude.drift * column(older)
+    farther = moved_on, column(older), fuller & (older < 2.0 * LONGER)
+    walk = _walked(state.walk, at_anchor, moved_on, older, farther[2], both, state.attitude.time)
     # where a lag is full, its anchor moves here
     return Learning(
         _learned(state.gyro, change, *far, good_gyro, 2, LOOSE, step),
@@ -201,7 +201,7 @@ def _walked(
     total, lag = state.moved + to_earth(q_xyzw, moved), state.age + age
     moved, weight = to_body(q_xyzw, total), good.min(axis=-1)
     far = full & (lag >= CORRELATED)
-    gain = smaller(NEWS * column(lag) / (PRIOR + time), 1.0) * column(far * weight)
+    gain = _gain(column(lag), time) * column(far * weight)
     goes_on = full & (weight > 0.0) & ~far
     return Walk(
         state.square + gain * (smaller(moved * moved, TIGHT * state.square) - state.square),
@@ -222,12 +222,14 @@ def _learned(
     clip: float,
     dt: Scalar,
 ) -> Variogram:
-    """Learn from how far readings moved over ``dt`` and ``age`` [s]; variances grow by a power of the lag."""
+    """Learn from how far readings moved over ``dt`` and ``age`` [s], less their steady drift.
+
+    Variances grow by a power of the lag.
+    """
     time = smaller(state.time + dt * good, MEMORY)
-    gain = smaller(NEWS * dt / (PRIOR + time), 1.0) * good
-    gains = smaller(NEWS * age / (PRIOR + time), 1.0) * (good * column(full))
-    steady, bound = far - state.drift * age, sqrt(clip * state.far)
-    moved = smaller(larger(steady, -bound), bound)
+    gain, gains = _gain(dt, time) * good, _gain(age, time) * (good * column(full))
+    bound = sqrt(clip * state.far)
+    moved = smaller(larger(far, -bound), bound)
     return Variogram(
         state.near + gain * (smaller(near * near, TIGHT * state.near) - state.near),
         state.far + gains * (moved * moved - state.far),
@@ -241,7 +243,7 @@ def _bent(state: Bend, moved: Vector, good: Vector, time: Vector, dt: Scalar) ->
     """Learn from how far the gyro moved over ``dt`` [s] against torque [rad/s]."""
     since, age = state.since + moved, state.age + dt
     full = column(age >= SHORT - 1e-6)
-    gain = smaller(NEWS * column(age) / (PRIOR + time), 1.0) * good * (full & (column(age) < 2.0 * SHORT))
+    gain = _gain(column(age), time) * good * (full & (column(age) < 2.0 * SHORT))
     news = smaller((since - state.until) ** 2, LOOSE * state.square) - state.square
     return Bend(
         state.square + gain * news,
@@ -249,6 +251,11 @@ def _bent(state: Bend, moved: Vector, good: Vector, time: Vector, dt: Scalar) ->
         where(full, since, state.until),
         where(age >= SHORT - 1e-6, 0.0, age),
     )
+
+
+def _gain(lag: Scalar, time: Vector) -> Vector:
+    """Return what the news of a ``lag`` are worth in a mean of a ``time`` [s]."""
+    return smaller(NEWS * lag / (PRIOR + time), 1.0)
 
 
 def noise_of(state: Learning, driven: Flag, dt: Scalar) -> Noise:

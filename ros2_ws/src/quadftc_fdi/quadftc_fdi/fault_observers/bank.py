@@ -254,7 +254,7 @@ class BankObserver(FlightLaw):
         """
         good_gyro, good_attitude = good
         bank = hypotheses.move(state.bank, moved.rate, self.attitude_from_gyro, dt)
-        bank = hypotheses.open_slots(bank, state.worth, state.failed > 0.0, dt)
+        bank = hypotheses.open_slots(bank, state.worth, state.failed > 0.0, driven, dt)
         expected = hypotheses.of_gyro(bank, moved.rate, blind.rate + moved.bias)
         moved, by_gyro = motion.take_gyro(moved, imu.body_rate, levels.gyro, good_gyro)
         vague = motion.rate_vagueness(state.blind, blind, dt)
