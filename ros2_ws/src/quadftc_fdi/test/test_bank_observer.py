@@ -320,6 +320,26 @@ def test_a_sensor_without_readings_is_absent(sensor, there):
     assert not np.isin(each.state[FIRST + 500 :], ALARMS).any()
 
 
+def test_a_fault_that_is_known_has_a_size_while_readings_are_absent_and_after():
+    gap = slice(FIRST + 100, FIRST + 110)
+    flight = with_fault("attitude", 3.0 * DEG * ON[:, None] * np.eye(3)[1])
+    there = flight.imu.attitude_valid.copy()
+    there[gap] = False
+    said = said_of(with_imu(flight, attitude_valid=there))["attitude"]
+    assert np.all(said.kind[gap][5:] == ABSENT)
+    assert np.all(abs(said.size[FIRST + 50 :, 1] / DEG - 3.0) < 0.7)
+
+
+def test_an_attitude_that_is_not_believed_has_no_hypothesis():
+    """What it reads does not count, so a fault that began meanwhile would be as likely for ever."""
+    flight = with_fault("attitude", 3.0 * DEG * ON[:, None] * np.eye(3)[1])
+    state = fly_arrays(*as_flown(BankObserver(vehicle=QBALL), flight), DT)[0].law
+    assert state.attitude.faulty.tolist() == [False, True, False]
+    own = (modes.NAME == modes.ATTITUDE)[: modes.EFFECTS]
+    kept = (state.bank.age[own] >= 0.0).any(axis=-1)
+    assert np.array_equal(kept, modes.AXIS[: modes.EFFECTS][own] != 1)
+
+
 @pytest.mark.parametrize(("sensor", "size"), [("gyro", 0.3), ("gyro", -0.1), ("attitude", 3.0 * DEG)])
 def test_a_fault_that_ends_is_over_within_a_second(sensor, size):
     ends = FIRST + round(1.5 / DT)

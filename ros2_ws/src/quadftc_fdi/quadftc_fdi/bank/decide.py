@@ -183,9 +183,12 @@ def judge(
     age = where(
         state.faulty, state.age, where(stuck | absent, read.silence, where(scatter.noisy, scatter.age, 0.0))
     )
+    # a fault that is known has a size while readings are absent, too
+    unknown = where(declared & ~absent, seen.off, 0.0)
+    size = where(state.faulty, where(seen.there, seen.off, state.size), unknown)
     return SensorEstimate(
         where(declared, faulty, suspect).astype(xp.uint8),
-        where(state.faulty & ~seen.there, state.size, where(declared & ~absent, seen.off, 0.0)),
+        size,
         smaller(sqrt(seen.variance), samples.MAX_BODY_RATE),
         where(declared, age, -1.0),
         where(certain, 1.0, seen.mine),

@@ -190,7 +190,7 @@ def _returning(part: Array, best: list[Array]) -> Array:
 
 
 def disregard(state: Bank, attitude: Mask, gyro: Mask, untold: Mask, alone: Mask) -> Bank:
-    """Drop faults of sensors whose readings are stuck (..., 3): what such a reading says is no size.
+    """Drop faults of sensors that are stuck, or not believed (..., 3): what such a one reads says no size.
 
     Nor is there a scale of an attitude that is ``untold`` (..., 3): the gyro that tells what it should read
     is faulty, or was a second ago. An attitude that is ``alone`` (..., 3), as neither gyro nor torque tells

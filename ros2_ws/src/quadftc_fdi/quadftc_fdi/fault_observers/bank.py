@@ -427,10 +427,14 @@ class BankObserver(FlightLaw):
 def _regarded(
     bank: Bank, state: State, stuck_attitude: Mask, stuck_gyro: Mask, witness: Mask, driven: Flag
 ) -> Bank:
-    """Drop faults that no reading tells; where the gyro is a ``witness`` (..., 3), it has readings."""
+    """Drop faults that no reading tells; where the gyro is a ``witness`` (..., 3), it has readings.
+
+    Nor has an attitude that is not believed a further one: what it reads does not count.
+    """
     untold = state.gyro.faulty | (state.failed[..., :1] > 0.0)
     alone = (~witness | state.gyro.faulty) & ~column(driven)
-    return hypotheses.disregard(bank, stuck_attitude, stuck_gyro, untold, alone)
+    unread = stuck_attitude | state.attitude.faulty
+    return hypotheses.disregard(bank, unread, stuck_gyro, untold, alone)
 
 
 def _turning(angles: Vector) -> Array:
