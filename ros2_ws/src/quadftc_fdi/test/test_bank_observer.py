@@ -330,6 +330,14 @@ def test_a_fault_that_is_known_has_a_size_while_readings_are_absent_and_after():
     assert np.all(abs(said.size[FIRST + 50 :, 1] / DEG - 3.0) < 0.7)
 
 
+def test_an_absent_attitude_has_no_estimate_and_is_not_said_to_be_off():
+    flight = with_imu(hovering(), attitude_valid=~ON)
+    estimate = fly_arrays(*as_flown(BankObserver(vehicle=QBALL), flight), DT)[1].said
+    assert np.all(estimate.sensors.attitude.state[FIRST + 4 :] == FAULTY)
+    assert not np.isin(estimate.state, ALARMS).any()
+    assert np.all(estimate.onset_age[FIRST:] == -1.0)
+
+
 def test_an_attitude_that_is_not_believed_has_no_hypothesis():
     """What it reads does not count, so a fault that began meanwhile would be as likely for ever."""
     flight = with_fault("attitude", 3.0 * DEG * ON[:, None] * np.eye(3)[1])

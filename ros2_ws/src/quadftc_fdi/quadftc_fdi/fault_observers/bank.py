@@ -413,11 +413,13 @@ class BankObserver(FlightLaw):
             attitude_valid=imu.attitude_valid | True,
             rate_valid=imu.rate_valid | True,
         )
+        # of an attitude that is merely absent there is no estimate
+        without = (by_attitude.kind == decide.ABSENT) & ~state.attitude.faulty
         return state._replace(translation=beside), FaultEstimate(
             by_attitude.size,
             by_attitude.std_dev,
-            by_attitude.state,
-            by_attitude.onset_age,
+            where(without, samples.HEALTHY, by_attitude.state).astype(by_attitude.state.dtype),
+            where(without, -1.0, by_attitude.onset_age),
             corrected,
             SensorDiagnosis(by_attitude, by_gyro, by_accelerometer),
             rotors,
